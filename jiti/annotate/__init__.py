@@ -1,0 +1,1 @@
+"""Segments and their store, the annotator (ESA), proposals and agreement."""

@@ -1,0 +1,1 @@
+"""Rewards, Monte-Carlo returns and checks that follow from labels; the validation viewer (RVV)."""
