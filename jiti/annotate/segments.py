@@ -3,9 +3,11 @@
 import os
 import time
 import uuid
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
+from operator import index
 from typing import Any, Literal
 
+import numpy as np
 import pyarrow as pa
 
 from jiti.errors import LabelError
@@ -41,6 +43,10 @@ SCHEMA = pa.schema(
 """Columns of a segments file; `created_at` and `updated_at` are nanoseconds since 1970, UTC."""
 
 
+_WHOLE = ("start_frame", "end_frame", "start_ns", "end_ns", "reward", "created_at", "updated_at")
+_TEXT = ("segment_id", "episode_id", "itc_id", "criterion", "rationale", "parent_id")
+
+
 @dataclass(frozen=True, slots=True)
 class Segment:
     """Frames `start_frame` to `end_frame`, both inclusive (supplement B.3), with a binary verdict."""
@@ -68,6 +74,7 @@ class Segment:
     updated_at: int = 0
 
     def __post_init__(self) -> None:
+        self._check_types()
         for field, value, allowed in (
             ("reward", self.reward, (None, 0, 1)),
             ("status", self.status, ("proposed", "accepted", "rejected")),
@@ -83,12 +90,37 @@ class Segment:
         if self.confidence is not None and not 0 <= self.confidence <= 1:
             raise LabelError(f"segment {self.segment_id}: confidence is {self.confidence}; it must be in 0 to 1")
 
+    def _check_types(self) -> None:
+        """What the store could not write is refused here; NumPy's numbers become Python's."""
+        for name in _WHOLE:
+            value: Any = getattr(self, name)
+            if value is None and name == "reward":
+                continue
+            try:
+                plain = index(value)
+            except TypeError:
+                raise LabelError(f"segment {self.segment_id}: {name} is {value!r}; it must be a whole number") from None
+            if not -(1 << 63) <= plain < 1 << 63:
+                raise LabelError(f"segment {self.segment_id}: {name} is {value!r}; it must fit into 64 bits")
+            if plain is not value:
+                object.__setattr__(self, name, plain)
+        for name in _TEXT:
+            value = getattr(self, name)
+            if value is None and name in ("rationale", "parent_id"):
+                continue
+            if not isinstance(value, str) or (not value.isascii() and _has_surrogates(value)):
+                raise LabelError(f"segment {self.segment_id!r}: {name} is {value!r}; it must be a text")
+        if self.confidence is not None:
+            if not isinstance(self.confidence, int | float | np.floating):
+                raise LabelError(f"segment {self.segment_id}: confidence is {self.confidence!r}; it must be a number")
+            object.__setattr__(self, "confidence", float(self.confidence))
+
     @property
     def frame_count(self) -> int:
         return self.end_frame - self.start_frame + 1
 
     def to_row(self) -> dict[str, Any]:
-        return asdict(self)
+        return {name: getattr(self, name) for name in SCHEMA.names}
 
     @classmethod
     def from_row(cls, row: dict[str, Any]) -> "Segment":
@@ -99,6 +131,8 @@ class Segment:
         for name in ("start_frame", "end_frame", "start_ns", "end_ns"):
             if not isinstance(row.get(name), int) or isinstance(row[name], bool):
                 raise LabelError(f"segment field {name} is {row.get(name)!r}; it must be a whole number")
+        if isinstance(row.get("reward"), bool):
+            raise LabelError(f"segment field reward is {row['reward']!r}; it must be 0, 1 or null")
         for name in ("segment_id", "episode_id", "itc_id", "criterion"):
             if not isinstance(row.get(name), str) or not row[name]:
                 raise LabelError(f"segment field {name} is {row.get(name)!r}; it must be a text that is not empty")
@@ -107,6 +141,11 @@ class Segment:
     def changed(self, **changes: Any) -> "Segment":
         """A copy with the changes and a new `updated_at`."""
         return replace(self, **changes, updated_at=time.time_ns())
+
+
+def _has_surrogates(text: str) -> bool:
+    """Half of a character pair, which JSON can carry and UTF-8 cannot."""
+    return any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def new_segment_id() -> str:
