@@ -93,9 +93,9 @@ class Segment:
     def _check_types(self) -> None:
         """What the store could not write is refused here; NumPy's numbers become Python's."""
         for name in _WHOLE:
-            value: Any = getattr(self, name)
-            if value is None and name == "reward":
+            if name == "reward" and self.reward is None:
                 continue
+            value: Any = getattr(self, name)
             try:
                 plain = index(value)
             except TypeError:
