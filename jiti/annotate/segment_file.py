@@ -65,8 +65,8 @@ def encode(segments: Iterable[Segment], info: FileInfo) -> pa.Buffer:
         schema=SCHEMA.with_metadata({_KEY: json.dumps(about)}),
     )
     sink = pa.BufferOutputStream()
-    # Dictionaries, statistics and Arrow's copy of the schema cost more than they save in files of a few rows.
-    pq.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False, store_schema=False)
+    # Dictionaries and statistics cost more than they save in files of a few rows.
+    pq.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False)
     return sink.getvalue()
 
 
