@@ -1,12 +1,143 @@
 """The `jiti` command. Each subcommand parses, imports what it needs, calls one function and prints."""
 
 import sys
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from jiti.errors import JitiError
+from jiti.errors import JitiError, UsageError
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, help="Label how robot demonstrations were done.")
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,  # Rich makes the help three times slower to appear
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Label how robot demonstrations were done, and learn from those labels.",
+)
+
+Source = Annotated[
+    str | None,
+    typer.Argument(help="An MCAP file, a folder of them, a LeRobot folder or Hub id. Default: the current folder."),
+]
+Tasks = Annotated[
+    list[Path] | None, typer.Option("--tasks", help="A TOML file with your own tasks and ITCs; may be repeated.")
+]
+Labels = Annotated[Path | None, typer.Option("--labels", help="Folder of the labels. Default: beside the recordings.")]
+Annotator = Annotated[str | None, typer.Option("--annotator", help="Who labels. Default: your login name.")]
+Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port on 127.0.0.1. Default: any free one.")]
+NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
+
+
+@app.command()
+def annotate(
+    source: Source = None,
+    annotator: Annotator = None,
+    labels: Labels = None,
+    tasks: Tasks = None,
+    port: Port = 0,
+    no_browser: NoBrowser = False,
+) -> None:
+    """Open the Elegance Segment Annotator (ESA) in a browser.
+
+    Example: jiti annotate episode.mcap
+    """
+    from jiti.annotate.web.serve import serve
+    from jiti.annotate.web.session import open_session
+
+    session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)
+    _say_session(session)
+    serve(session, port=port, browser=not no_browser)
+
+
+@app.command("validate-rewards")
+def validate_rewards(
+    source: Source = None,
+    annotator: Annotator = None,
+    labels: Labels = None,
+    tasks: Tasks = None,
+    port: Port = 0,
+    no_browser: NoBrowser = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="List mistakes in the terminal; exit code 1 when there are errors.")
+    ] = False,
+    agreement: Annotated[
+        tuple[str, str] | None, typer.Option("--agreement", metavar="A B", help="Compare two annotators in the terminal.")
+    ] = None,
+    gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the Monte-Carlo return.")] = 0.98,
+    as_json: Json = False,
+) -> None:
+    """Show rewards and returns (RVV), find mistakes in labels.
+
+    Example: jiti validate-rewards --check
+    """
+    from jiti.annotate.web.session import open_session
+
+    if as_json and not (check or agreement):
+        raise UsageError("--json needs --check or --agreement A B.")
+    session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)
+    if agreement:
+        from jiti.annotate.agreement import compare, print_agreement
+
+        print_agreement(compare(session.store.labels_dir, *agreement), as_json=as_json)
+    elif check:
+        from jiti.curate.validate import check_labels, print_check
+
+        raise typer.Exit(print_check(check_labels(session, gamma=gamma), as_json=as_json))
+    else:
+        from jiti.annotate.web.serve import serve
+        from jiti.curate.rvv import rvv_routes
+
+        _say_session(session)
+        serve(session, path=f"/rewards?gamma={gamma:g}", port=port, browser=not no_browser, routes=rvv_routes(session))
+
+
+@app.command()
+def inspect(source: Source = None, as_json: Json = False) -> None:
+    """List the episodes of a source, their streams, and what is wrong with them.
+
+    Example: jiti inspect episode.mcap --json
+    """
+    from jiti.episodes.inspect import inspect_source, print_report
+
+    print_report(inspect_source(source), as_json=as_json)
+
+
+@app.command()
+def tasks(tasks: Tasks = None, as_json: Json = False) -> None:
+    """List the tasks and their Implicit Task Constraints (ITCs).
+
+    Example: jiti tasks --tasks mine.toml
+    """
+    from jiti.tasks.catalogue import load_catalogue, print_catalogue
+
+    print_catalogue(load_catalogue(*tasks or ()), as_json=as_json)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the recordings.")] = Path("jiti-demo"),
+    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes to record.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the first episode.")] = 0,
+    headless: Annotated[bool, typer.Option("--headless", help="End after writing and checking.")] = False,
+    port: Port = 0,
+    no_browser: NoBrowser = False,
+) -> None:
+    """Record a scripted pick in simulation, propose segments, open ESA on it.
+
+    Example: jiti demo --headless
+    """
+    from jiti.runtime.sim.demo import demo as run_demo
+
+    run_demo(out, episodes=episodes, seed=seed)
+    if not headless:
+        annotate(str(out), port=port, no_browser=no_browser)
+
+
+def _say_session(session) -> None:  # noqa: ANN001
+    print(f"{session.reader.title}. Labels of {session.annotator} go to {session.store.labels_dir}.")
 
 
 def main() -> None:
@@ -16,3 +147,5 @@ def main() -> None:
     except JitiError as error:
         print(f"jiti: {error}", file=sys.stderr)
         sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,5 @@
+"""`python -m jiti` is `jiti`."""
+
+from jiti.cli import main
+
+main()

@@ -1,0 +1,117 @@
+"""Labels for the page: an annotator's rows on an episode, edits, undo and redo, decisions on proposals."""
+
+import time
+from typing import Any
+
+from starlette.requests import Request
+from starlette.routing import Route
+
+from jiti.annotate.proposals import accept, edit, pending, reject
+from jiti.annotate.segments import Segment, new_segment_id
+from jiti.annotate.store import Partition
+from jiti.annotate.web.answers import endpoint, take
+from jiti.annotate.web.session import Session
+from jiti.episodes.clock import Clock
+from jiti.errors import LabelError
+from jiti.tasks.task import Task
+
+
+def label_routes(session: Session) -> list[Route]:
+    """The routes under /api that write labels; each answers when the write is durable."""
+
+    def current(request: Request, _body: dict) -> dict[str, Any]:
+        return rows(session, request.path_params["episode_id"])
+
+    def edits(request: Request, body: dict) -> dict[str, Any]:
+        episode_id = request.path_params["episode_id"]
+        episode = session.episode(episode_id)
+        partition = session.partition(episode_id)
+        mine = {s.segment_id: s for s in partition.segments}
+        task = session.task(episode)
+        put = [row_of(fields, mine, episode_id, episode.clock, task) for fields in take(body, "put", list, [])]
+        remove = take(body, "remove", list, [])
+        partition.apply(take(body, "action", str), put, remove, based_on=take(body, "based_on", int))
+        return rows(session, episode_id)
+
+    def undo(request: Request, body: dict) -> dict[str, Any]:
+        session.partition(request.path_params["episode_id"]).undo(based_on=take(body, "based_on", int))
+        return rows(session, request.path_params["episode_id"])
+
+    def redo(request: Request, body: dict) -> dict[str, Any]:
+        session.partition(request.path_params["episode_id"]).redo(based_on=take(body, "based_on", int))
+        return rows(session, request.path_params["episode_id"])
+
+    def decide(request: Request, body: dict) -> dict[str, Any]:
+        episode_id, segment_id = request.path_params["episode_id"], request.path_params["segment_id"]
+        partition = session.partition(episode_id)
+        waiting = {p.segment_id: p for p in pending(session.store.labels_dir, session.annotator, episode_id)}
+        if segment_id not in waiting:
+            raise LabelError(f"no proposal {segment_id} waits for {session.annotator} in {episode_id}.")
+        decision = take(body, "decision", str)
+        decisions = {"accept": accept, "reject": reject, "edit": edit}
+        if decision not in decisions:
+            raise LabelError(f"decision is {decision!r}; it must be accept, edit or reject.")
+        row = decisions[decision](waiting[segment_id])
+        partition.apply(f"{decision} proposal", [row], [], based_on=take(body, "based_on", int))
+        return {**rows(session, episode_id), "segment_id": row.segment_id}
+
+    one = "/api/episodes/{episode_id}"
+    return [
+        Route(f"{one}/rows", endpoint(current)),
+        Route(f"{one}/edits", endpoint(edits), methods=["POST"]),
+        Route(f"{one}/undo", endpoint(undo), methods=["POST"]),
+        Route(f"{one}/redo", endpoint(redo), methods=["POST"]),
+        Route(f"{one}/proposals/{{segment_id}}", endpoint(decide), methods=["POST"]),
+    ]
+
+
+def rows(session: Session, episode_id: str) -> dict[str, Any]:
+    """What the page shows of an episode's labels: own rows, waiting proposals, version, what can be undone."""
+    partition: Partition = session.partition(episode_id)
+    return {
+        "version": partition.version,
+        "segments": [s.to_row() for s in partition.segments],
+        "proposals": [p.to_row() for p in pending(session.store.labels_dir, session.annotator, episode_id)],
+        "can_undo": partition.can_undo,
+        "can_redo": partition.can_redo,
+    }
+
+
+def row_of(fields: Any, mine: dict[str, Segment], episode_id: str, clock: Clock, task: Task) -> Segment:
+    """The row that an edit asks for. The page names frames, ITC, verdict and note; the rest is worked out here.
+
+    Raises LabelError for frames outside the episode or an ITC that the task does not have.
+    """
+    if not isinstance(fields, dict):
+        raise LabelError(f"a segment is {fields!r}; it must be an object.")
+    start, end = take(fields, "start_frame", int), take(fields, "end_frame", int)
+    if not 0 <= start <= end < clock.frame_count:
+        raise LabelError(
+            f"a segment from frame {start} to {end} does not fit: {episode_id} has frames 0 to {clock.frame_count - 1}."
+        )
+    old = mine.get(fields.get("segment_id", ""))
+    itc_id = take(fields, "itc_id", str)
+    criteria = {itc.itc_id: str(itc.criterion) for itc in task.itcs}
+    if old is not None and old.itc_id == itc_id:
+        criteria.setdefault(itc_id, old.criterion)
+    if itc_id not in criteria:
+        raise LabelError(f"{task.task_id} has no ITC {itc_id!r}; it has: {', '.join(criteria)}.")
+    now = time.time_ns()
+    given = {"reward": fields.get("reward"), "rationale": take(fields, "rationale", str, None)}
+    return Segment(
+        segment_id=old.segment_id if old else take(fields, "segment_id", str, None) or new_segment_id(),
+        episode_id=episode_id,
+        itc_id=itc_id,
+        criterion=criteria[itc_id],
+        start_frame=start,
+        end_frame=end,
+        start_ns=int(clock.frame_ns[start]),
+        end_ns=int(clock.frame_ns[end]),
+        status=old.status if old else "accepted",
+        source="human",
+        confidence=None,
+        parent_id=old.parent_id if old else None,
+        created_at=old.created_at if old else now,
+        updated_at=now,
+        **given,
+    )

@@ -1,0 +1,131 @@
+// Keys to actions: taken at the window before Rerun's viewer sees them, remappable, shown in the help.
+
+import { call, make } from "./api.js";
+
+const NAMES = { " ": "Space" };
+
+// A key as it is shown and stored: `a`, `A`, `Shift+ArrowLeft`, `Ctrl+z`. Letters carry Shift in their case.
+export function keyName(event) {
+  let key = NAMES[event.key] ?? event.key;
+  const printable = event.key.length === 1 && event.key !== " ";
+  const ctrl = (event.ctrlKey || event.metaKey) && !event.getModifierState("AltGraph");
+  if (ctrl && printable) key = key.toLowerCase();
+  const shift = event.shiftKey && (!printable || ctrl);
+  const alt = event.altKey && !event.getModifierState("AltGraph");
+  return (ctrl ? "Ctrl+" : "") + (alt ? "Alt+" : "") + (shift ? "Shift+" : "") + key;
+}
+
+export class Keys {
+  #held = null;
+
+  // Actions: [{ id, group, label, keys: [...], run(event), up?(event), repeat? }].
+  constructor(actions, { dialog }) {
+    this.actions = actions;
+    this.dialog = dialog;
+    this.changed = {};
+    this.listening = null;
+    window.addEventListener("keydown", (event) => this.#down(event), true);
+    window.addEventListener("keyup", (event) => this.#up(event), true);
+    window.addEventListener("blur", () => this.#release(null));
+    window.addEventListener("keypress", (event) => this.#ours(event) && event.stopImmediatePropagation(), true);
+  }
+
+  async load() {
+    this.changed = (await call("/api/keys")).keys;
+  }
+
+  keysOf(action) {
+    return this.changed[action.id] ? [this.changed[action.id]] : action.keys;
+  }
+
+  hintFor(id) {
+    return this.keysOf(this.actions.find((action) => action.id === id))[0];
+  }
+
+  find(name) {
+    return this.actions.find((action) => this.keysOf(action).includes(name));
+  }
+
+  // Where a person types, or a dialog is open, keys are theirs. Rerun's hidden text field is not one of those.
+  #ours(event) {
+    const target = event.target;
+    if (target instanceof Element && target.closest("#viewer")) return true;
+    if (document.querySelector("dialog[open]")) return false;
+    return !(target instanceof Element && target.closest("input, textarea, select"));
+  }
+
+  #down(event) {
+    if (this.listening) return this.#remap(event);
+    if (!this.#ours(event) || ["Shift", "Control", "Alt", "Meta", "AltGraph"].includes(event.key)) return;
+    const action = this.find(keyName(event));
+    if (!action) {
+      // Nothing of the viewer's own keys may move its time behind the page's back.
+      if (event.target instanceof Element && event.target.closest("#viewer")) event.stopImmediatePropagation();
+      return;
+    }
+    // Enter and Space on a focused button of ours press that button.
+    const pressesButton = ["Enter", " "].includes(event.key) && event.target instanceof HTMLButtonElement;
+    if (pressesButton) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    if (event.repeat && !action.repeat) return;
+    if (action.up) this.#held = { code: event.code, action };
+    action.run(event);
+  }
+
+  #up(event) {
+    if (this.#held?.code === event.code) this.#release(event);
+    if (event.target instanceof Element && event.target.closest("#viewer")) event.stopImmediatePropagation();
+  }
+
+  #release(event) {
+    const held = this.#held;
+    this.#held = null;
+    held?.action.up(event);
+  }
+
+  show() {
+    const groups = Map.groupBy(this.actions, (action) => action.group);
+    const sections = [...groups].map(([group, actions]) =>
+      make("section", {}, make("h3", { textContent: group }), ...actions.map((action) => this.#row(action))),
+    );
+    document.getElementById("keys").replaceChildren(...sections);
+    this.dialog.showModal();
+  }
+
+  #row(action) {
+    const button = make("button", { type: "button", textContent: this.keysOf(action).join("  ") });
+    button.dataset.action = action.id;
+    button.addEventListener("click", () => {
+      button.textContent = "press a key";
+      button.classList.add("listening");
+      this.listening = action;
+    });
+    return make("div", { className: "key" }, make("span", { textContent: action.label }), button);
+  }
+
+  async #remap(event) {
+    if (["Shift", "Control", "Alt", "Meta", "AltGraph"].includes(event.key)) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    const action = this.listening;
+    this.listening = null;
+    const name = keyName(event);
+    const taken = this.find(name);
+    if (event.key !== "Escape" && taken && taken !== action) {
+      alert(`${name} is already used to ${taken.label.toLowerCase()}. Change that one first.`);
+    } else if (event.key !== "Escape") {
+      this.changed = { ...this.changed, [action.id]: name };
+      await call("/api/keys", { keys: this.changed }, "PUT");
+    }
+    this.dialog.close();
+    this.show();
+  }
+
+  async reset() {
+    this.changed = {};
+    await call("/api/keys", { keys: {} }, "PUT");
+    this.dialog.close();
+    this.show();
+  }
+}

@@ -1,0 +1,101 @@
+// The labels of the open episode: edits go to the server one by one, and show when they are durable.
+
+import { call, episodePath, Line, Refused } from "./api.js";
+
+const announce = new BroadcastChannel("jiti-labels");
+
+export class Labels {
+  segments = [];
+  proposals = [];
+  version = 0;
+  canUndo = false;
+  canRedo = false;
+
+  // `onChange()` after each answer; `onSaving(count)`, `onSaved(version)`, `onTrouble(error)` tell how saving goes.
+  constructor(handlers) {
+    Object.assign(this, handlers);
+    this.line = new Line();
+    addEventListener("beforeunload", (event) => this.line.waiting && event.preventDefault());
+  }
+
+  take(episodeId, answer) {
+    this.episodeId = episodeId;
+    this.segments = answer.segments.toSorted((a, b) => a.start_frame - b.start_frame || a.end_frame - b.end_frame);
+    this.proposals = answer.proposals.toSorted((a, b) => a.start_frame - b.start_frame);
+    this.version = answer.version;
+    this.canUndo = answer.can_undo;
+    this.canRedo = answer.can_redo;
+    this.onChange();
+  }
+
+  get(id) {
+    return this.segments.find((s) => s.segment_id === id) ?? this.proposals.find((s) => s.segment_id === id);
+  }
+
+  isProposal(id) {
+    return this.proposals.some((s) => s.segment_id === id);
+  }
+
+  // `build()` is called when the edits before this one are saved, and gives { put, remove } or null to do nothing.
+  edit(action, build) {
+    return this.#save("/edits", () => {
+      const change = build();
+      return change && { action, put: change.put ?? [], remove: change.remove ?? [] };
+    });
+  }
+
+  // Changes fields of one segment, worked out from what it is when its turn comes.
+  change(action, id, fields) {
+    return this.edit(action, () => {
+      const old = this.segments.find((s) => s.segment_id === id);
+      const wanted = old && fields(old);
+      return wanted && { put: [{ ...pick(old), ...wanted }] };
+    });
+  }
+
+  undo() {
+    return this.#save("/undo", () => (this.canUndo ? {} : null));
+  }
+
+  redo() {
+    return this.#save("/redo", () => (this.canRedo ? {} : null));
+  }
+
+  decide(id, decision) {
+    return this.#save(`/proposals/${encodeURIComponent(id)}`, () => (this.isProposal(id) ? { decision } : null));
+  }
+
+  async refresh() {
+    const id = this.episodeId;
+    if (this.line.waiting) return;
+    const answer = await call(episodePath(id, "/rows"));
+    if (id === this.episodeId && !this.line.waiting) this.take(id, answer);
+  }
+
+  #save(path, build) {
+    const id = this.episodeId;
+    return this.line.add(async () => {
+      if (id !== this.episodeId) return null;
+      const body = build();
+      if (!body) return null;
+      this.onSaving();
+      try {
+        const answer = await call(episodePath(id, path), { ...body, based_on: this.version });
+        this.take(id, answer);
+        this.onSaved(answer.version);
+        announce.postMessage(id);
+        return answer;
+      } catch (error) {
+        this.onTrouble(error);
+        if (error instanceof Refused && error.status === 409) this.take(id, await call(episodePath(id, "/rows")));
+        return null;
+      }
+    });
+  }
+}
+
+// The fields that an edit may name; the server works out the rest.
+export function pick(segment) {
+  const { segment_id, itc_id, start_frame, end_frame, reward, rationale } = segment;
+  return { segment_id, itc_id, start_frame, end_frame, reward, rationale: rationale ?? undefined };
+}
