@@ -4,7 +4,7 @@ A picture belongs to frame `i` when it stands within half a frame of `start_s + 
 ever moved to fill a gap: a frame that has no picture has no sample, and a Problem says so.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,8 +54,11 @@ class ClipScan:
 
     codec: str
     """As FFmpeg calls it: `h264`, `av1`, `mpeg4`."""
+    pixel_format: str
     width: int
     height: int
+    file_frames: int
+    """Pictures in the whole file, by its header; 0 if it does not say."""
     encoding: Literal["h264", "av1"]
     """What `read_clip` yields."""
     copied: bool
@@ -73,8 +76,10 @@ def scan_clip(clip: Clip) -> ClipScan:
     with _open(clip) as (container, stream):
         codec = stream.codec_context.codec.canonical_name
         width, height = stream.codec_context.width, stream.codec_context.height
-        shown = codec in _SHOWN_BY_BROWSERS and stream.codec_context.pix_fmt in ("yuv420p", "yuvj420p")
+        pixel_format = stream.codec_context.pix_fmt or ""
+        shown = codec in _SHOWN_BY_BROWSERS and pixel_format in ("yuv420p", "yuvj420p")
         shown = shown and not stream.codec_context.has_b_frames
+        file_frames = stream.frames
         rate = float(stream.average_rate) if stream.average_rate else None
         headers = len(stream.codec_context.extradata or b"") + 64
         try:
@@ -95,8 +100,10 @@ def scan_clip(clip: Clip) -> ClipScan:
     copied = bool(shown and in_order and frames and key[0])
     return ClipScan(
         codec,
+        pixel_format,
         width,
         height,
+        file_frames,
         "av1" if copied and codec == "av1" else "h264",
         copied,
         present,
@@ -109,16 +116,23 @@ def read_clip(clip: Clip, scan: ClipScan, stream: str, frame_ns: np.ndarray) -> 
     """Yield the samples of `scan.frames` at their times in `frame_ns` (frame_count,): the first is a key frame,
     one a picture, no B-frames, H.264 as Annex B with SPS and PPS at key frames, AV1 as temporal units.
     """
-    samples = _copied(clip) if scan.copied else _encoded(clip, scan)
-    times, data = [], []
+    return in_batches(_copied(clip) if scan.copied else _encoded(clip, scan), stream, scan.encoding, frame_ns)
+
+
+def in_batches(
+    samples: Iterable[tuple[int, bytes]], stream: str, encoding: str, frame_ns: np.ndarray
+) -> Iterator[ImageBatch]:
+    """Group `(frame, data)` into batches, each sample at the time of its frame in `frame_ns`."""
+    frames: list[int] = []
+    data: list[bytes] = []
     for frame, sample in samples:
-        times.append(frame_ns[frame])
+        frames.append(frame)
         data.append(sample)
         if len(data) == BATCH_FRAMES:
-            yield ImageBatch(stream, np.array(times, np.int64), data, scan.encoding)
-            times, data = [], []
+            yield ImageBatch(stream, frame_ns[frames], data, encoding)
+            frames, data = [], []
     if data:
-        yield ImageBatch(stream, np.array(times, np.int64), data, scan.encoding)
+        yield ImageBatch(stream, frame_ns[frames], data, encoding)
 
 
 def decode_clip(clip: Clip, frames: Sequence[int]) -> Iterator[tuple[int, av.VideoFrame]]:
@@ -133,6 +147,11 @@ def decode_clip(clip: Clip, frames: Sequence[int]) -> Iterator[tuple[int, av.Vid
         for frame, picture in _decoded(clip, min(near), max(near)):
             if frame in near:
                 yield frame, picture
+
+
+def clip_pictures(clip: Clip) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Decode the whole clip: `(frame, picture)` in order, each frame once."""
+    return _decoded(clip, 0, clip.frame_count - 1)
 
 
 def _copied(clip: Clip) -> Iterator[tuple[int, bytes]]:
@@ -158,7 +177,7 @@ def _copied(clip: Clip) -> Iterator[tuple[int, bytes]]:
 
 def _encoded(clip: Clip, scan: ClipScan) -> Iterator[tuple[int, bytes]]:
     encoder = H264Encoder(scan.width, scan.height, clip.rate_hz)
-    for frame, picture in _decoded(clip, 0, clip.frame_count - 1):
+    for frame, picture in clip_pictures(clip):
         yield frame, encoder.encode(picture)
 
 
