@@ -1,0 +1,1 @@
+"""Robots that act: demonstrations in simulation."""
