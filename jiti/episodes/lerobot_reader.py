@@ -65,6 +65,8 @@ class LeRobotEpisode:
         self._info, self._entry = info, entry
         self.episode_id = episode_id_of(entry.number)
         self._problems = list(entry.problems)
+        self.problems: Sequence[Problem] = self._problems
+        self.fingerprint = _fingerprint(info, entry)
         first_error: SourceError | None = None
         self._rows: EpisodeRows | None = None
         try:
@@ -83,23 +85,6 @@ class LeRobotEpisode:
         frame_ns = np.rint(np.arange(count) * (1e9 / info.fps)).astype(np.int64)
         self.clock = Clock(self._reference(), frame_ns)
         self.image_bytes = sum(pictures.max_bytes for pictures in self._pictures.values())
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        return tuple(self._problems)
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """Of info.json, the episode's entry, and the sizes of its files."""
-        digest = hashlib.sha256(self._info.text)
-        digest.update(self._entry.text.encode())
-        for path in sorted({self._entry.data_path, *(video.path for video in self._entry.videos.values())}):
-            try:
-                size = (self._info.root / path).stat().st_size
-            except OSError:
-                size = -1
-            digest.update(f"\n{path} {size}".encode())
-        return digest.hexdigest()[:32]
 
     def read(self, streams: Sequence[str] | None = None) -> Iterator[Batch]:
         wanted = [s.name for s in self.streams.values() if s.kind != "other"] if streams is None else list(streams)
@@ -215,6 +200,19 @@ class LeRobotEpisode:
     def _report(self, problem: Problem) -> None:
         if problem not in self._problems:
             self._problems.append(problem)
+
+
+def _fingerprint(info: DatasetInfo, entry: EpisodeEntry) -> str:
+    """Of info.json, the episode's entry, and the sizes of its files."""
+    digest = hashlib.sha256(info.text)
+    digest.update(entry.text.encode())
+    for path in sorted({entry.data_path, *(video.path for video in entry.videos.values())}):
+        try:
+            size = (info.root / path).stat().st_size
+        except OSError:
+            size = -1
+        digest.update(f"\n{path} {size}".encode())
+    return digest.hexdigest()[:32]
 
 
 def _as_problem(error: SourceError, remedy: str) -> Problem:
