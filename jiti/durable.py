@@ -51,9 +51,9 @@ def sync_folder(folder: Path) -> None:
 def make_folder(folder: Path) -> None:
     """Create a folder and the parents that it lacks, durably. Raises SaveFailed."""
     missing = [folder]
-    while not missing[-1].exists() and missing[-1] != missing[-1].parent:
-        missing.append(missing[-1].parent)
     try:
+        while not missing[-1].exists() and missing[-1] != missing[-1].parent:
+            missing.append(missing[-1].parent)
         for path in reversed(missing[:-1]):
             path.mkdir(exist_ok=True)
             sync_folder(path.parent)

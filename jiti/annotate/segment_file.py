@@ -66,7 +66,9 @@ def encode(segments: Iterable[Segment], info: FileInfo) -> pa.Buffer:
     )
     sink = pa.BufferOutputStream()
     # Dictionaries and statistics cost more than they save in files of a few rows.
-    pq.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False)
+    pq.write_table(
+        table, sink, compression="zstd", use_dictionary=False, write_statistics=False, write_page_checksum=True
+    )
     return sink.getvalue()
 
 
@@ -78,7 +80,7 @@ def decode(path: Path) -> tuple[pa.Table, FileInfo]:
     """
     data = path.read_bytes()
     try:
-        file = pq.ParquetFile(pa.BufferReader(data))
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         info = _info(path, file.schema_arrow.metadata or {})
         if missing := [name for name in SCHEMA.names if name not in file.schema_arrow.names]:
             raise DamagedFile(f"{path} is not a file of segments: it has no column {missing[0]!r}")
