@@ -1,5 +1,6 @@
 """The reference clock of an episode: which frame is when, and what other streams showed at it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,9 @@ FIXED_RATE_HZ = 30.0
 
 JUMP_NS = 500_000_000
 """A step back by more than this is a clock that was set; a smaller one is messages out of order. Our choice."""
+
+FEW = 3
+"""So many messages in a row may be late, or ahead of their time, without the clock having been set. Our choice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +66,81 @@ def fixed_rate(start_ns: int, end_ns: int, rate_hz: float = FIXED_RATE_HZ) -> Cl
 def unwrap(time_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Undo clock jumps in one stream, given in recording order.
 
-    Returns the times (N,) int64, non-decreasing after a stable sort of small disorder, and the
-    indices at which the clock was set back by more than `JUMP_NS`. After a jump the stream goes on one
-    median period after the latest time before it, so that video stays decodable and nothing overlaps.
+    Returns the times (N,) int64, which a stable sort brings in order, and the indices at which the clock was set
+    back by more than `JUMP_NS`. After a jump the stream goes on one median period after the latest time before it,
+    so that video stays decodable and nothing overlaps. Not jumps, and left to the sort: a few late messages, and
+    stretches that were recorded out of order. A few messages ahead of their time are moved to the one before them.
     """
-    steps = np.diff(time_ns)
-    jumps = np.flatnonzero(steps < -JUMP_NS) + 1
-    if len(jumps):
-        period = int(np.median(steps[steps > 0])) if (steps > 0).any() else 1
-        time_ns = time_ns.copy()
-        for jump in jumps:
-            time_ns[jump:] += time_ns[:jump].max() + period - time_ns[jump]
-    return time_ns, jumps
+    times, jumps, offsets = _jumps(time_ns)
+    return _shift(times, jumps, offsets), jumps
+
+
+def unwrap_together(
+    streams: Sequence[np.ndarray], positions: Sequence[np.ndarray]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Undo clock jumps in streams of one recording by the same amounts, so that they stay aligned.
+
+    `positions` (N,) int64 a stream grow in recording order over all streams. Returns what `unwrap` does, a stream.
+    A jump is measured in the stream with the most messages; one that shows another number of jumps (it starts
+    late, or has few messages) is shifted where those of the first lie in the recording.
+    """
+    found = [_jumps(time_ns) for time_ns in streams]
+    jumping = [k for k, (_, jumps, _) in enumerate(found) if len(jumps)]
+    if not jumping:
+        return [(times, jumps) for times, jumps, _ in found]
+    dense = max(jumping, key=lambda k: len(streams[k]))
+    _, dense_jumps, dense_offsets = found[dense]
+    unwrapped = []
+    for (times, jumps, offsets), place in zip(found, positions, strict=True):
+        if len(jumps) == len(dense_jumps):
+            unwrapped.append((_shift(times, jumps, np.maximum(offsets, dense_offsets)), jumps))
+        else:
+            at = np.searchsorted(place, positions[dense][dense_jumps])
+            unwrapped.append((_shift(times, at, dense_offsets), jumps))
+    return unwrapped
+
+
+def _jumps(time_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times without messages ahead of their time, indices of jumps, and what to add from each one on."""
+    none = np.empty(0, np.int64)
+    back = np.flatnonzero(np.diff(time_ns) < -JUMP_NS) + 1
+    if not len(back) or _out_of_order(time_ns):
+        return time_ns, none, none
+    times, jumps = time_ns.copy(), []
+    for index in back.tolist():
+        before = int(times[index - 1])
+        if (times[index + 1 : index + 1 + FEW] >= before - JUMP_NS).any():
+            continue  # the clock is soon back where it was: these messages are late
+        jumps.append(index)
+        ahead = np.flatnonzero(times[max(0, index - 1 - FEW) : index - 1] <= times[index])
+        if len(ahead):
+            last = max(0, index - 1 - FEW) + int(ahead[-1])
+            if times[last + 1] - times[last] > JUMP_NS:
+                times[last + 1 : index] = times[last]
+    steps = np.diff(times)
+    period = int(np.median(steps[steps > 0])) if (steps > 0).any() else 1
+    latest, offset, offsets = None, 0, []
+    for start, end in zip([0, *jumps], [*jumps, len(times)], strict=True):
+        if latest is not None and times[start] + offset <= latest - JUMP_NS:
+            offset = latest + period - int(times[start])
+        if start:
+            offsets.append(offset)
+        top = int(times[start:end].max()) + offset
+        latest = top if latest is None else max(latest, top)
+    return times, np.array(jumps, np.int64), np.array(offsets, np.int64)
+
+
+def _shift(time_ns: np.ndarray, jumps: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    if not len(jumps):
+        return time_ns
+    added = np.concatenate([[0], offsets]).astype(np.int64)
+    return time_ns + added[np.searchsorted(jumps, np.arange(len(time_ns)), side="right")]
+
+
+def _out_of_order(time_ns: np.ndarray) -> bool:
+    """Whether the stretches between steps fill one span of time without overlap: one clock, recorded out of order."""
+    starts = np.concatenate([[0], np.flatnonzero(np.abs(np.diff(time_ns)) > JUMP_NS) + 1])
+    first, last = np.minimum.reduceat(time_ns, starts), np.maximum.reduceat(time_ns, starts)
+    order = np.argsort(first, kind="stable")
+    gaps = first[order][1:] - last[order][:-1]
+    return bool((gaps >= 0).all() and (gaps <= JUMP_NS).all())
