@@ -1,0 +1,323 @@
+"""Clips of a video file, and pictures of any episode by frame number."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jiti.episodes.episode import PictureFormat
+from jiti.episodes.keyframes import is_key_frame, obu_types
+from jiti.episodes.video import decode_frames
+from jiti.episodes.video_clip import Clip, decode_clip, read_clip, scan_clip
+from jiti.episodes.video_decode import SampleDecoder, UndecodablePicture, raw_frame, to_rgb
+from jiti.episodes.video_encode import H264Encoder, max_encoded_bytes
+from jiti.errors import SourceError
+from tests.builders import lerobot
+from tests.builders.camera_episode import CAMERA, CameraEpisode, at_30_hz
+from tests.builders.encode import VIDEO_CODECS, encode_numbered
+from tests.builders.pictures import numbered, read_number
+
+LENGTHS = (12, 9, 40)
+
+
+def numbers_in(samples: list[bytes], encoding: str) -> list[int]:
+    """What a viewer shows that is fed the samples one after the other, without a container."""
+    decoder = SampleDecoder(encoding)
+    frames = [out for index, sample in enumerate(samples) for out in decoder.decode(sample, index)]
+    frames += decoder.flush()
+    assert [index for index, _ in frames] == list(range(len(samples)))
+    return [read_number(to_rgb(frame)) for _, frame in frames]
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One file a codec, with three episodes whose pictures count on through the file."""
+    folder = tmp_path_factory.mktemp("videos")
+    starts = np.cumsum([0, *LENGTHS])
+    episodes = [[numbered(starts[e] + i, 160, 120) for i in range(n)] for e, n in enumerate(LENGTHS)]
+    paths = {}
+    for name, encoder in lerobot.ENCODERS.items():
+        paths[name] = folder / f"{name}.mp4"
+        lerobot.write_video(paths[name], episodes, encoder, 30)
+    return paths
+
+
+def clip_of(path: Path, episode: int = 0, **changes: object) -> Clip:
+    start = sum(LENGTHS[:episode])
+    fields = {"start_s": start / 30, "rate_hz": 30.0, "frame_count": LENGTHS[episode], **changes}
+    return Clip(path, path.name, **fields)  # type: ignore[arg-type]
+
+
+COPIED = {"h264", "h264_long_gop", "av1", "av1_long_gop"}
+
+
+@pytest.mark.parametrize("episode", [0, 1, 2])
+@pytest.mark.parametrize("codec", lerobot.ENCODERS)
+def test_every_sample_of_a_clip_shows_its_own_frame(videos: dict[str, Path], codec: str, episode: int) -> None:
+    clip = clip_of(videos[codec], episode)
+    scan = scan_clip(clip)
+    frame_ns = np.arange(clip.frame_count, dtype=np.int64) * 33_333_333
+    batches = list(read_clip(clip, scan, "front", frame_ns))
+    samples = [sample for batch in batches for sample in batch.data]
+    start = sum(LENGTHS[:episode])
+
+    assert scan.copied == (codec in COPIED)
+    assert numbers_in(samples, scan.encoding) == list(range(start, start + clip.frame_count))
+    assert np.concatenate([batch.time_ns for batch in batches]).tolist() == frame_ns.tolist()
+    assert {batch.encoding for batch in batches} == {scan.encoding}
+    assert is_key_frame(scan.encoding, samples[0])
+    assert sum(map(len, samples)) <= scan.max_bytes
+    assert scan.problems == ()
+
+
+@pytest.mark.parametrize("codec", lerobot.ENCODERS)
+def test_frames_are_decoded_straight_from_the_file(videos: dict[str, Path], codec: str) -> None:
+    clip = clip_of(videos[codec], 2, rate_hz=30.0)
+    wanted = [0, 1, 7, 30, 39]
+    shown = {frame: read_number(to_rgb(picture)) for frame, picture in decode_clip(clip, wanted)}
+    assert shown == {frame: 21 + frame for frame in wanted}
+
+
+def test_far_frames_are_reached_by_a_seek(tmp_path: Path) -> None:
+    path = tmp_path / "long.mp4"
+    lerobot.write_video(path, [[numbered(i, 64, 48) for i in range(200)]], lerobot.H264, 10)
+    clip = Clip(path, "long.mp4", 0.0, 10.0, 200)
+    shown = {frame: read_number(to_rgb(picture)) for frame, picture in decode_clip(clip, [3, 100, 199])}
+    assert shown == {3: 3, 100: 100, 199: 199}
+
+
+def test_an_episode_that_does_not_begin_at_a_key_frame_is_encoded_anew(videos: dict[str, Path]) -> None:
+    clip = clip_of(videos["h264_long_gop"], start_s=5 / 30, frame_count=4)
+    scan = scan_clip(clip)
+    samples = [s for batch in read_clip(clip, scan, "front", np.arange(4)) for s in batch.data]
+    assert not scan.copied
+    assert numbers_in(samples, "h264") == [5, 6, 7, 8]
+
+
+def test_h264_samples_carry_their_parameter_sets_at_every_key_frame(videos: dict[str, Path]) -> None:
+    clip = clip_of(videos["h264"], 2)
+    samples = [s for b in read_clip(clip, scan_clip(clip), "front", np.arange(40)) for s in b.data]
+    keys = [index for index, sample in enumerate(samples) if is_key_frame("h264", sample)]
+    assert keys == [0, 10, 20, 30]
+    for key in keys:
+        assert numbers_in(samples[key : key + 10], "h264") == list(range(21 + key, 31 + key))
+
+
+def test_odd_sizes_are_made_even(tmp_path: Path) -> None:
+    path = tmp_path / "odd.mp4"
+    odd = lerobot.Encoder("libx264", (("preset", "ultrafast"),), "yuv444p")
+    lerobot.write_video(path, [[numbered(i, 161, 121) for i in range(5)]], odd, 30)
+    clip = Clip(path, "odd.mp4", 0.0, 30.0, 5)
+    scan = scan_clip(clip)
+    samples = [s for b in read_clip(clip, scan, "front", np.arange(5)) for s in b.data]
+    assert numbers_in(samples, "h264") == [0, 1, 2, 3, 4]
+
+
+def test_a_short_video_leaves_its_last_frames_empty(videos: dict[str, Path]) -> None:
+    clip = clip_of(videos["h264"], 2, frame_count=43)
+    scan = scan_clip(clip)
+    assert scan.frames.tolist() == list(range(40))
+    assert "40 of 43 frames have a picture; the first without one is frame 40" in str(scan.problems[0])
+    times = np.concatenate([b.time_ns for b in read_clip(clip, scan, "front", np.arange(43) * 5)])
+    assert times.tolist() == [5 * frame for frame in range(40)]
+
+
+@pytest.mark.parametrize("codec", ["h264", "mpeg4"])
+def test_a_video_of_half_the_rate_never_shifts_frames(videos: dict[str, Path], codec: str) -> None:
+    clip = clip_of(videos[codec], 0, rate_hz=60.0, frame_count=24)
+    scan = scan_clip(clip)
+    assert scan.frames.tolist() == list(range(0, 24, 2))
+    assert "the dataset says 60 Hz, the video runs at 30 Hz" in str(scan.problems[0])
+    batches = list(read_clip(clip, scan, "front", np.arange(24)))
+    samples = [s for b in batches for s in b.data]
+    assert numbers_in(samples, scan.encoding) == list(range(12))
+    assert np.concatenate([b.time_ns for b in batches]).tolist() == list(range(0, 24, 2))
+
+
+def test_of_two_pictures_in_one_frame_the_nearest_is_shown(videos: dict[str, Path]) -> None:
+    clip = clip_of(videos["h264"], 0, rate_hz=15.0, frame_count=6)
+    scan = scan_clip(clip)
+    samples = [s for b in read_clip(clip, scan, "front", np.arange(6)) for s in b.data]
+    assert scan.frames.tolist() == list(range(6))
+    assert numbers_in(samples, "h264") == [0, 2, 4, 6, 8, 10]
+
+
+def test_a_truncated_video_keeps_the_frames_that_are_there(videos: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "cut.mp4"
+    whole = videos["h264"].read_bytes()
+    path.write_bytes(whole[: len(whole) * 9 // 10])
+    clip = clip_of(path, 2)
+    scan = scan_clip(clip)
+    assert 0 < len(scan.frames) < 40
+    assert scan.problems[0].severity == "error"
+    samples = [s for b in read_clip(clip, scan, "front", np.arange(40)) for s in b.data]
+    assert numbers_in(samples, "h264") == list(range(21, 21 + len(scan.frames)))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "bad.mp4: the video is missing or cannot be opened (No such file or directory)"),
+        (b"", "bad.mp4: the file is empty"),
+        (b"#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n", "bad.mp4: the file is not an MP4, Matroska or AVI video"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Run `git lfs pull`"),
+        (b"\0\0\0\x18ftypisom" + bytes(400), "bad.mp4: the video cannot be opened"),
+    ],
+)
+def test_what_is_no_video_says_so(tmp_path: Path, content: bytes | None, message: str) -> None:
+    path = tmp_path / "bad.mp4"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SourceError) as caught:
+        scan_clip(Clip(path, "bad.mp4", 0.0, 30.0, 10))
+    assert message in str(caught.value)
+
+
+# Any episode
+
+
+@pytest.mark.parametrize("encoding", ["jpeg", "png", "raw", *VIDEO_CODECS])
+def test_any_encoding_decodes_to_the_right_frames(encoding: str) -> None:
+    raw = PictureFormat(160, 120, "rgb8", 480) if encoding == "raw" else None
+    episode = CameraEpisode(encode_numbered(range(30), encoding, 160, 120, gop=10), encoding, at_30_hz(30), raw=raw)
+    shown = list(decode_frames(episode, CAMERA, [29, 0, 5, 14, 5]))
+    assert [(frame, read_number(picture)) for frame, picture in shown] == [(0, 0), (5, 5), (14, 14), (29, 29)]
+    assert shown[0][1].shape == (120, 160, 3)
+    assert shown[0][1].dtype == np.uint8
+
+
+@pytest.mark.parametrize("encoding", ["jpeg", "h264"])
+@settings(deadline=None, max_examples=40)
+@given(data=st.data())
+def test_a_frame_shows_the_latest_picture_at_or_before_it(encoding: str, data: st.DataObject) -> None:
+    steps = data.draw(st.lists(st.integers(0, 3), min_size=1, max_size=12))
+    times = np.cumsum(steps).astype(np.int64)
+    frame_ns = np.sort(np.array(data.draw(st.lists(st.integers(0, 30), min_size=1, max_size=8)), np.int64))
+    wanted = data.draw(st.lists(st.integers(0, len(frame_ns) - 1), max_size=6))
+    episode = CameraEpisode(encode_numbered(range(len(times)), encoding, 64, 48, gop=4), encoding, times, frame_ns)
+
+    def expected(frame: int) -> int | None:
+        """Frames that share a time take the pictures that share it one after the other."""
+        at = frame_ns[frame]
+        equal = np.flatnonzero(times == at)
+        if len(equal):
+            return int(equal[min(frame - np.searchsorted(frame_ns, at), len(equal) - 1)])
+        before = np.flatnonzero(times < at)
+        return int(before[-1]) if len(before) else None
+
+    shown = {frame: read_number(picture) for frame, picture in decode_frames(episode, CAMERA, wanted)}
+    assert shown == {f: expected(f) for f in set(wanted) if expected(f) is not None}
+
+
+def test_reading_stops_after_the_last_wanted_frame() -> None:
+    episode = CameraEpisode(encode_numbered(range(100), "jpeg", 64, 48), "jpeg", at_30_hz(100), batch_size=5)
+    assert [frame for frame, _ in decode_frames(episode, CAMERA, [3])] == [3]
+    assert episode.yielded == 5
+
+
+@pytest.mark.parametrize("encoding", ["jpeg", "png", "h264"])
+def test_a_picture_that_does_not_decode_names_its_stream_and_frame(encoding: str) -> None:
+    data = encode_numbered(range(10), encoding, 64, 48, gop=5)
+    data[6] = data[6][: len(data[6]) // 2] if encoding != "h264" else b"\0\0\0\1\x65garbage"
+    episode = CameraEpisode(data, encoding, at_30_hz(10))
+    assert [f for f, _ in decode_frames(episode, CAMERA, [0, 5])] == [0, 5]
+    with pytest.raises(SourceError, match="memory, /camera, frame 6: the picture cannot be decoded"):
+        list(decode_frames(episode, CAMERA, [5, 6]))
+
+
+def test_video_before_its_first_key_frame_cannot_be_shown() -> None:
+    data = encode_numbered(range(20), "h264", 64, 48, gop=10)[5:]
+    episode = CameraEpisode(data, "h264", at_30_hz(15))
+    assert [read_number(p) for _, p in decode_frames(episode, CAMERA, [5, 9])] == [10, 14]
+    with pytest.raises(SourceError, match="frame 2: the picture cannot be decoded"):
+        list(decode_frames(episode, CAMERA, [2, 9]))
+
+
+def test_wrong_names_and_numbers_are_answered_with_what_there_is() -> None:
+    episode = CameraEpisode(encode_numbered(range(3), "jpeg", 64, 48), "jpeg", at_30_hz(3))
+    with pytest.raises(SourceError, match=r"memory has no camera '/wrist'; it has: /camera\."):
+        list(decode_frames(episode, "/wrist", [0]))
+    for frame in (3, -1):
+        with pytest.raises(SourceError, match=rf"memory has no frame {frame}; it has 0 to 2\."):
+            list(decode_frames(episode, CAMERA, [0, frame]))
+
+
+# Raw pixels
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "channels"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0]), ("rgba8", [0, 1, 2]), ("bgra8", [2, 1, 0])]
+)
+@given(width=st.integers(1, 40), height=st.integers(1, 20), padding=st.integers(0, 9), seed=st.integers(0, 99))
+@settings(deadline=None, max_examples=25)
+def test_raw_colours_survive_any_size_and_row_padding(
+    pixel_format: str, channels: list[int], width: int, height: int, padding: int, seed: int
+) -> None:
+    picture = np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
+    pixels = picture[..., channels]
+    if "a" in pixel_format:
+        pixels = np.concatenate([pixels, np.full((height, width, 1), 255, np.uint8)], 2)
+    rows = pixels.reshape(height, -1)
+    stride = rows.shape[1] + padding
+    data = np.pad(rows, ((0, 0), (0, padding))).tobytes()
+    assert np.array_equal(to_rgb(raw_frame(data, PictureFormat(width, height, pixel_format, stride))), picture)
+
+
+def test_depth_is_shown_as_grey_from_near_to_far() -> None:
+    depth = np.array([[0, 500], [1000, 1500]], "<u2")
+    grey = to_rgb(raw_frame(depth.tobytes(), PictureFormat(2, 2, "16UC1", 4)))
+    assert grey[..., 0].tolist() == [[0, 0], [127, 255]]
+    metres = np.array([[np.nan, 0.5], [1.0, 1.5]], "<f4")
+    grey = to_rgb(raw_frame(metres.tobytes(), PictureFormat(2, 2, "32FC1", 8)))
+    assert grey[..., 0].tolist() == [[0, 0], [127, 255]]
+
+
+def test_grey_and_bayer_decode() -> None:
+    mono = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    assert (
+        np.abs(to_rgb(raw_frame(mono.tobytes(), PictureFormat(8, 8, "mono8", 8)))[..., 0].astype(int) - mono).max() < 2
+    )
+    red = np.zeros((8, 8), np.uint8)
+    red[::2, ::2] = 255
+    picture = to_rgb(raw_frame(red.tobytes(), PictureFormat(8, 8, "bayer_rggb8", 8)))
+    assert picture[2:6, 2:6, 0].mean() > 200
+    assert picture[2:6, 2:6, 1:].mean() < 20
+
+
+@pytest.mark.parametrize(
+    ("layout", "message"),
+    [
+        (PictureFormat(4, 4, "rgb8", 12), "it has 10 bytes; 4 rows of 12 bytes are declared"),
+        (PictureFormat(30_000, 30_000, "rgb8", 90_000), "it declares 30000x30000 pixels"),
+        (PictureFormat(1, 1, "nv99", 3), "its pixel format 'nv99' is not one of rgb8"),
+        (PictureFormat(4, 1, "rgb8", 4), "its rows have 4 bytes; 4 pixels of rgb8 need 12"),
+    ],
+)
+def test_raw_pictures_that_lie_about_their_size_are_refused(layout: PictureFormat, message: str) -> None:
+    with pytest.raises(UndecodablePicture, match=message):
+        raw_frame(bytes(10), layout)
+
+
+# Samples
+
+
+@pytest.mark.parametrize("encoding", VIDEO_CODECS)
+def test_key_frames_are_told_from_the_bytes(encoding: str) -> None:
+    samples = encode_numbered(range(25), encoding, 64, 48, gop=10)
+    assert [i for i, s in enumerate(samples) if is_key_frame(encoding, s)] == [0, 10, 20]
+
+
+@given(st.binary(max_size=60), st.sampled_from([*VIDEO_CODECS, "jpeg"]))
+def test_no_bytes_break_the_search_for_key_frames(data: bytes, encoding: str) -> None:
+    assert is_key_frame(encoding, data) in (True, False)
+    assert len(list(obu_types(data))) <= len(data)
+
+
+def test_each_picture_gives_one_sample_and_the_ceiling_holds() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (60, 96, 128, 3), np.uint8)
+    encoder = H264Encoder(128, 96, 30.0)
+    samples = [encoder.encode(raw_frame(p.tobytes(), PictureFormat(128, 96, "rgb8", 384))) for p in noise]
+    assert [i for i, s in enumerate(samples) if is_key_frame("h264", s)] == [0, 30]
+    assert sum(map(len, samples)) <= max_encoded_bytes(128, 96, 60, 30.0)
