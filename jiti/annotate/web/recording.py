@@ -10,6 +10,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from jiti.annotate.web.ahead import by_time
 from jiti.episodes.clock import Clock
@@ -25,6 +26,9 @@ MAX_PLOTS = 6
 """Numeric streams that are drawn. Our choice: more are unreadable on a laptop."""
 MAX_PLOT_ROWS = 20_000
 """Rows of one numeric stream that are drawn; beyond, every n-th is. Our choice: ten a pixel."""
+
+FLUSH_BYTES = 16 << 20
+"""Bytes handed to Rerun before its encoder is waited for: it runs beside the reader, and memory stays bounded."""
 
 _PLOT_WORDS = ("gripper", "action", "command", "state", "joint", "force", "wrench", "torque", "contact", "pose", "eef")
 
@@ -78,6 +82,7 @@ def stream_recording(
             yield from by_time([transcode(camera.name) for camera in cameras])
 
     reference = _FramePlacer(episode.clock)
+    unflushed = 0
     for batch in pieces():
         if batch.stream == episode.clock.reference:
             times = reference.place(batch.time_ns)
@@ -86,10 +91,23 @@ def stream_recording(
         _log_batch(recording, episode.streams[batch.stream], batch, times)
         if on_progress and batch.stream == (episode.clock.reference or batch.stream) and len(times):
             on_progress(int(np.searchsorted(episode.clock.display_ns, times[-1])))
-        if piece := pipe.read(flush=True):
+        unflushed += size_bytes(batch)
+        if piece := pipe.read(flush=unflushed > FLUSH_BYTES):
             yield piece
+        unflushed = 0 if unflushed > FLUSH_BYTES else unflushed
     if piece := pipe.read(flush=True):
         yield piece
+
+
+def size_bytes(batch: Batch) -> int:
+    """What a batch holds: encoded pictures, or numbers."""
+    return sum(len(d) for d in batch.data) if isinstance(batch, ImageBatch) else batch.values.nbytes
+
+
+def warm() -> None:
+    """Load Rerun and what a first recording needs of it, which takes two seconds, while the browser starts."""
+    camera = Stream("/camera", "camera", 1, None, (), "jpeg")
+    _blueprint([camera], ["/numbers"])
 
 
 class _FramePlacer:
@@ -152,15 +170,23 @@ def _log_batch(recording: "rr.RecordingStream", stream: Stream, batch: Batch, ti
         flat = rr.Scalars.columns(scalars=np.ascontiguousarray(values).ravel())
         columns = flat.partition(np.full(len(values), values.shape[1]))
     elif batch.encoding in INTER_CODED:
-        columns = rr.VideoStream.columns(sample=list(batch.data))
+        columns = rr.VideoStream.columns(sample=_blobs(batch.data))
     elif batch.raw is None:
         media = [f"image/{batch.encoding}"] * len(batch.data)
         kind = rr.EncodedDepthImage if stream.kind == "depth" else rr.EncodedImage
-        columns = kind.columns(blob=list(batch.data), media_type=media)
+        columns = kind.columns(blob=_blobs(batch.data), media_type=media)
     else:
         columns = _raw_columns(stream, batch)
     index = rr.TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))
     recording.send_columns(entity_path(batch.stream), [index], columns)
+
+
+def _blobs(data: Sequence[bytes]) -> pa.ListArray:
+    """Byte strings as Rerun's Blob array, with one copy; its own conversion takes longer than reading the file."""
+    offsets = np.concatenate([[0], np.cumsum([len(d) for d in data])]).astype(np.int32)
+    joined = pa.UInt8Array.from_buffers(pa.uint8(), int(offsets[-1]), [None, pa.py_buffer(b"".join(data))])
+    blob = pa.list_(pa.field("item", pa.uint8(), nullable=False))
+    return pa.ListArray.from_arrays(pa.array(offsets), joined, type=blob)
 
 
 _RAW_FORMATS = {
@@ -187,7 +213,7 @@ def _raw_columns(stream: Stream, batch: ImageBatch) -> Any:
         width=batch.raw.width, height=batch.raw.height, color_model=model, channel_datatype=datatype
     )
     kind = rr.DepthImage if stream.kind == "depth" else rr.Image
-    return kind.columns(buffer=list(batch.data), format=[layout] * len(batch.data))
+    return kind.columns(buffer=_blobs(batch.data), format=[layout] * len(batch.data))
 
 
 def needs_transcoding(episode: Episode, max_image_bytes: int) -> str | None:

@@ -10,6 +10,7 @@ import uvicorn
 from starlette.routing import BaseRoute
 
 from jiti.annotate.web.app import create_app
+from jiti.annotate.web.recording import warm
 from jiti.annotate.web.security import new_token
 from jiti.annotate.web.session import Session
 from jiti.errors import UsageError
@@ -48,13 +49,9 @@ def serve(
     say(f"Open {url}")
     say("Stop with Ctrl+C. Everything is saved as you go.")
     sys.stdout.flush()
-    threading.Thread(target=_warm, name="warm", daemon=True).start()
+    threading.Thread(target=warm, name="warm", daemon=True).start()
     if browser:
         threading.Timer(0.3, webbrowser.open, (url,)).start()
     config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
     uvicorn.Server(config).run(sockets=[listener])
 
-
-def _warm() -> None:
-    """Import Rerun while the browser starts: it takes most of a second."""
-    import rerun  # noqa: F401
