@@ -64,9 +64,12 @@ def validate_rewards(
         bool, typer.Option("--check", help="List mistakes in the terminal; exit code 1 when there are errors.")
     ] = False,
     agreement: Annotated[
-        tuple[str, str] | None, typer.Option("--agreement", metavar="A B", help="Compare two annotators in the terminal.")
+        tuple[str, str] | None,
+        typer.Option("--agreement", metavar="A B", help="Compare two annotators in the terminal."),
     ] = None,
-    gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the Monte-Carlo return.")] = 0.98,
+    gamma: Annotated[
+        float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the Monte-Carlo return.")
+    ] = 0.98,
     as_json: Json = False,
 ) -> None:
     """Show rewards and returns (RVV), find mistakes in labels.
@@ -136,7 +139,7 @@ def demo(
         annotate(str(out), port=port, no_browser=no_browser)
 
 
-def _say_session(session) -> None:  # noqa: ANN001
+def _say_session(session) -> None:
     print(f"{session.reader.title}. Labels of {session.annotator} go to {session.store.labels_dir}.")
 
 

@@ -59,5 +59,9 @@ def test_lerobot_with_several_episodes_a_file(serve, screen, tmp_path: Path) -> 
         if episode:
             page.press("n")
         page.wait(episode=f"episode_{episode:06d}")
-        page.until(lambda e=episode: (page.page.evaluate("document.body.dataset.recording") or "").startswith(f"episode_{e:06d}"))
+        page.until(
+            lambda e=episode: (page.page.evaluate("document.body.dataset.recording") or "").startswith(
+                f"episode_{e:06d}"
+            )
+        )
         check_frames(page, frames, lambda frame, e=episode: [e * 1000 + frame])

@@ -31,7 +31,8 @@ class _Ahead:
     def _put(self, item: ImageBatch | BaseException | None) -> None:
         while not self._stopped.is_set():
             try:
-                return self._queue.put(item, timeout=0.2)
+                self._queue.put(item, timeout=0.2)
+                return
             except queue.Full:
                 continue
 

@@ -55,7 +55,7 @@ def create_app(session: Session, *, token: str, port: int, routes: Sequence[Base
 class _Cached(StaticFiles):
     """Files that the browser may keep but must ask about, so that an upgrade shows at once."""
 
-    def file_response(self, *args, **kwargs) -> Response:  # noqa: ANN002, ANN003
+    def file_response(self, *args, **kwargs) -> Response:
         response = super().file_response(*args, **kwargs)
         response.headers["Cache-Control"] = "private, no-cache"
         return response

@@ -29,8 +29,10 @@ def episode_routes(session: Session) -> list[Route]:
             "problems": [str(p) for p in session.reader.problems],
         }
 
-    def version(_request: Request, _body: dict) -> dict[str, Any]:
-        return {"version": labels_version(session.store.labels_dir)}
+    def version(request: Request, _body: dict) -> dict[str, Any]:
+        episode_id = request.query_params.get("episode")
+        problems = session.episode(episode_id).problems if episode_id else ()
+        return {"version": labels_version(session.store.labels_dir), "problems": [str(p) for p in problems]}
 
     def episodes(_request: Request, _body: dict) -> dict[str, Any]:
         queues = episode_queue(session.store.labels_dir, session.annotator)
@@ -64,7 +66,9 @@ def episode_routes(session: Session) -> list[Route]:
 
     def events(request: Request, _body: dict) -> dict[str, Any]:
         found = find_events(session.episode(request.path_params["episode_id"]))
-        return {"events": [{"frame": e.frame, "kind": e.kind, "stream": e.stream, "sharpness": e.sharpness} for e in found]}
+        return {
+            "events": [{"frame": e.frame, "kind": e.kind, "stream": e.stream, "sharpness": e.sharpness} for e in found]
+        }
 
     def recording(request: Request, _body: dict) -> Any:
         opened = session.episode(request.path_params["episode_id"])
@@ -139,6 +143,7 @@ def describe_task(task: Task) -> dict[str, Any]:
         "task_id": task.task_id,
         "instruction": task.instruction,
         "itcs": [
-            {"itc_id": i.itc_id, "statement": i.statement, "criterion": str(i.criterion), "check": i.check} for i in task.itcs
+            {"itc_id": i.itc_id, "statement": i.statement, "criterion": str(i.criterion), "check": i.check}
+            for i in task.itcs
         ],
     }

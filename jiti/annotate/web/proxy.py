@@ -92,7 +92,7 @@ class Proxy:
                 time.sleep(0.05)
 
 
-def _open_either(first: Path, second: Path):  # noqa: ANN202
+def _open_either(first: Path, second: Path):
     """The file may be renamed from one to the other between two calls."""
     try:
         return first.open("rb")

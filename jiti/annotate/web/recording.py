@@ -15,6 +15,7 @@ import pyarrow as pa
 from jiti.annotate.web.ahead import by_time
 from jiti.episodes.clock import Clock
 from jiti.episodes.episode import INTER_CODED, Batch, Episode, ImageBatch, NumericBatch, Stream
+from jiti.episodes.video_decode import raw_frame, to_rgb
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -132,7 +133,9 @@ def _blueprint(cameras: Sequence[Stream], plots: Sequence[str]) -> Any:
     import rerun.blueprint as rrb
 
     views = [rrb.Spatial2DView(origin=entity_path(c.name), name=c.name) for c in cameras]
-    charts = [rrb.TimeSeriesView(origin=entity_path(p), name=p, plot_legend=rrb.PlotLegend(visible=False)) for p in plots]
+    charts = [
+        rrb.TimeSeriesView(origin=entity_path(p), name=p, plot_legend=rrb.PlotLegend(visible=False)) for p in plots
+    ]
     rows: list[Any] = []
     if views:
         rows.append(rrb.Horizontal(*views) if len(views) <= 3 else rrb.Grid(*views))
@@ -145,14 +148,21 @@ def _blueprint(cameras: Sequence[Stream], plots: Sequence[str]) -> Any:
 
 
 def _log_statics(
-    recording: "rr.RecordingStream", episode: Episode, cameras: Sequence[Stream], plots: Sequence[str], *, transcoded: bool
+    recording: "rr.RecordingStream",
+    episode: Episode,
+    cameras: Sequence[Stream],
+    plots: Sequence[str],
+    *,
+    transcoded: bool,
 ) -> None:
     import rerun as rr
 
     for camera in cameras:
         codec = "h264" if transcoded else camera.encoding
         if codec in INTER_CODED:
-            recording.log(entity_path(camera.name), rr.VideoStream(codec=getattr(rr.VideoCodec, codec.upper())), static=True)
+            recording.log(
+                entity_path(camera.name), rr.VideoStream(codec=getattr(rr.VideoCodec, codec.upper())), static=True
+            )
     for name in plots:
         stream = episode.streams[name]
         recording.log(entity_path(name), rr.SeriesLines(names=list(stream.names) or [name]), static=True)
@@ -208,12 +218,20 @@ def _raw_columns(stream: Stream, batch: ImageBatch) -> Any:
     import rerun as rr
 
     assert batch.raw is not None
-    model, datatype = _RAW_FORMATS[batch.raw.pixel_format]
-    layout = rr.components.ImageFormat(
-        width=batch.raw.width, height=batch.raw.height, color_model=model, channel_datatype=datatype
-    )
+    raw, data = batch.raw, batch.data
+    model, datatype = _RAW_FORMATS.get(raw.pixel_format, _CONVERTED)
     kind = rr.DepthImage if stream.kind == "depth" else rr.Image
-    return kind.columns(buffer=_blobs(batch.data), format=[layout] * len(batch.data))
+    row_bytes = raw.width * len(model) * {"U8": 1, "U16": 2, "F32": 4}[datatype]
+    if raw.pixel_format not in _RAW_FORMATS:  # Bayer and YUV: Rerun takes them in other layouts
+        data = [to_rgb(raw_frame(picture, raw)).tobytes() for picture in data]
+    elif raw.row_stride != row_bytes:
+        data = [_unpadded(picture, raw.row_stride, row_bytes, raw.height) for picture in data]
+    layout = rr.components.ImageFormat(width=raw.width, height=raw.height, color_model=model, channel_datatype=datatype)
+    return kind.columns(buffer=_blobs(data), format=[layout] * len(data))
+
+
+def _unpadded(picture: bytes, row_stride: int, row_bytes: int, height: int) -> bytes:
+    return b"".join(picture[y * row_stride : y * row_stride + row_bytes] for y in range(height))
 
 
 def needs_transcoding(episode: Episode, max_image_bytes: int) -> str | None:

@@ -23,7 +23,7 @@ OPEN_EPISODES = 4
 VIEWER_BYTES = 1 << 30
 """Pictures that the viewer is given as they are. Our choice: half of the 2 GB that its 32-bit memory surely has."""
 LIGHT_HEIGHT = 360
-"""Picture height of a copy of a recording that is too large. Our choice: what one of two views has on a 1280x720 screen."""
+"""Picture height of a copy of a recording that is too large. Our choice: one of two views on a 1280x720 screen."""
 PLAYABLE_HEIGHT = 1080
 """Picture height of a copy that is made only because browsers do not play the codec."""
 

@@ -385,6 +385,14 @@ function warn(message) {
   $("alert").hidden = false;
 }
 
+// What is wrong with a recording shows once; reading its pictures may bring more to light.
+let told = "";
+function warnOf(problems) {
+  const message = problems.slice(0, 6).join("\n") + (problems.length > 6 ? `\n… and ${problems.length - 6} more: see jiti inspect.` : "");
+  if (message && message !== told) warn(message);
+  told = message;
+}
+
 // ---- episodes ----
 
 async function open(id, at = 0) {
@@ -404,7 +412,7 @@ async function open(id, at = 0) {
   clock = new Clock(answer.display_ns);
   lane = Math.min(lane, lanes().length - 1);
   $("alert").hidden = true;
-  if (answer.problems.length) warn(answer.problems.slice(0, 6).join("\n") + (answer.problems.length > 6 ? `\n… and ${answer.problems.length - 6} more: see jiti inspect.` : ""));
+  warnOf(answer.problems);
   document.title = `${answer.title} · jiti annotate`;
   text("title", answer.title);
   text("instruction", answer.instruction ?? answer.task.instruction ?? "");
@@ -448,7 +456,9 @@ async function prepare(id) {
 
 async function watchVersion() {
   try {
-    const { version } = await call("/api/version");
+    const id = episode?.episode_id;
+    const { version, problems } = await call(`/api/version${id ? `?${new URLSearchParams({ episode: id })}` : ""}`);
+    if (id === episode?.episode_id) warnOf(problems);
     if (version !== lastVersion && document.visibilityState === "visible") {
       lastVersion = version;
       await queue.refresh();

@@ -1,0 +1,239 @@
+"""The annotator as a person uses it: real keys, and the Parquet file that results."""
+
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from jiti.annotate.segments import Segment, new_segment_id
+from jiti.annotate.store import LabelStore
+from tests.browser.conftest import Screen
+from tests.builders.mcap import write_mcap
+
+pytestmark = pytest.mark.browser
+
+SHOWN = ("itc_id", "start_frame", "end_frame", "reward", "status")
+
+
+@pytest.fixture(params=["made", "real"])
+def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A folder with `episode.mcap`: one made here, and a recording that no one here wrote."""
+    if request.param == "real":
+        shutil.copy(request.getfixturevalue("shared") / "mcap" / "g1_pick.mcap", tmp_path / "episode.mcap")
+    else:
+        write_mcap(tmp_path / "episode.mcap", duration_s=10, instruction="put the bowl on the plate")
+    return tmp_path
+
+
+def parquet_rows(folder: Path, annotator: str) -> list[dict]:
+    """The rows of the file as any reader of Parquet sees them."""
+    path = folder / "labels" / "segments" / f"annotator={annotator}" / "episode.parquet"
+    rows = pq.ParquetFile(path).read().to_pylist() if path.exists() else []
+    return sorted(({k: row[k] for k in SHOWN} for row in rows), key=str)
+
+
+def page_rows(screen: Screen) -> list[dict]:
+    """The rows that the page has, own ones only, with what its list says of them checked against them."""
+    rows = screen.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"]
+    listed = screen.page.eval_on_selector_all(
+        "#segments button:not([data-kind=proposed])", "all => all.map(b => b.getAttribute('aria-label'))"
+    )
+    words = {1: "pass", 0: "fail", None: "undecided"}
+    said = [f"frames {r['start_frame']} to {r['end_frame']}, {words[r['reward']]}" for r in rows]
+    assert sorted(label.split(", ", 1)[1] for label in listed) == sorted(said)
+    return sorted(({k: row[k] for k in SHOWN} for row in rows), key=str)
+
+
+def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> None:
+    server = serve("annotate", "episode.mcap", "--annotator", "ada")
+    page = screen(server.url).wait(frame=0, version=0)
+    page.press("Shift+ArrowRight", "Shift+ArrowRight", "i").wait(frame=20, mark=20)
+    page.press(*["Shift+ArrowRight"] * 3, "o").wait(segments=1, version=1)
+    page.press("p").wait(version=2)
+    page.press("]").wait(version=3)
+    page.press("<").wait(version=4)
+    first = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
+    assert (first["start_frame"], first["end_frame"], first["reward"]) == (21, 40, 1)
+
+    page.press("2").press("End", "w").wait(segments=2, version=5)
+    page.press("f").wait(version=6)
+    page.press("Control+z").wait(version=7)
+    page.press("z").wait(version=8, segments=1)
+    page.press("Control+Shift+z", "Control+y").wait(version=10, segments=2)
+    before = page_rows(page)
+    assert [row["reward"] for row in before] == [1, 0] or [row["reward"] for row in before] == [0, 1]
+    assert parquet_rows(folder, "ada") == before
+
+    page.page.reload()
+    page.wait(version=10, segments=2)
+    assert page_rows(page) == before
+
+    page.press("j", "x").wait(version=11, segments=1)
+    before = page_rows(page)
+    server.kill()
+    assert parquet_rows(folder, "ada") == before
+    server.start()
+    page.open(server.url).wait(version=11, segments=1)
+    assert page_rows(page) == before
+    page.press("z").wait(version=12, segments=2)
+    assert parquet_rows(folder, "ada") == page_rows(page)
+    assert page.errors == []
+
+
+def test_two_annotators_at_the_same_time_lose_nothing(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=10)
+    pages = {name: screen(serve("annotate", ".", "--annotator", name).url) for name in ("ada", "ben")}
+    for page in pages.values():
+        page.wait(frame=0)
+    for k in range(3):
+        for name, page in pages.items():
+            page.press("Shift+ArrowRight", "w").wait(segments=k + 1)
+            page.press("p" if name == "ada" else "f").wait(version=2 * (k + 1))
+    for name, reward in (("ada", 1), ("ben", 0)):
+        assert [row["reward"] for row in parquet_rows(tmp_path, name)] == [reward] * 3
+
+
+def test_a_second_tab_is_told_what_changed(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=10)
+    first, second = (serve("annotate", ".", "--annotator", "ada") for _ in range(2))
+    page = screen(first.url).wait(frame=0)
+    other = screen(second.url).wait(frame=0)
+    other.page.route("**/api/version", lambda route: route.abort())  # as when the tab was asleep
+    page.press("w").wait(version=1)
+    other.press("w")
+    other.until(lambda: "mark window" in other.page.inner_text("#alert"), lambda: "the refusal")
+    other.wait(version=1, segments=1)
+    other.press("w").wait(version=2, segments=2)
+    assert len(parquet_rows(tmp_path, "ada")) == 2
+
+
+def proposals(count: int) -> list[Segment]:
+    """Proposals on frames 10k to 10k + 9, the later the surer."""
+    return [
+        Segment(
+            segment_id=new_segment_id(),
+            episode_id="episode",
+            itc_id="elegant/T2/precisely_centered",
+            criterion="target_pose_accuracy",
+            start_frame=10 * k,
+            end_frame=10 * k + 9,
+            start_ns=k,
+            end_ns=k + 1,
+            reward=k % 2,
+            status="proposed",
+            source="signal",
+            confidence=0.5 + k / 10,
+            rationale=f"The gripper opens at frame {10 * k + 5}.",
+        )
+        for k in range(count)
+    ]
+
+
+def test_proposals_are_accepted_edited_and_rejected(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=10, instruction="put the bowl on the plate")
+    task_itc = _itc_of("put the bowl on the plate")
+    rows = [Segment.from_row({**p.to_row(), "itc_id": task_itc}) for p in proposals(3)]
+    _propose(tmp_path / "labels", rows)
+    page = screen(serve("annotate", ".", "--annotator", "ada").url).wait(proposals=3, segments=0)
+    assert parquet_rows(tmp_path, "ada") == []
+
+    page.press("q").wait(selected=rows[0].segment_id, frame=0)  # the least sure comes first
+    assert rows[0].rationale in page.page.inner_text("#inspector")
+    page.press("a").wait(proposals=2, segments=1, selected=rows[1].segment_id)
+    page.press("d").wait(proposals=1, segments=2)
+    page.press(".").wait(version=3)
+    page.press("q").wait(selected=rows[2].segment_id)
+    page.press("r").wait(proposals=0, segments=3)
+    found = {row["start_frame"]: row for row in parquet_rows(tmp_path, "ada")}
+    assert {k: (row["status"], row["end_frame"]) for k, row in found.items()} == {
+        0: ("accepted", 9),
+        10: ("accepted", 20),
+        20: ("rejected", 29),
+    }
+    full = pq.ParquetFile(tmp_path / "labels/segments/annotator=ada/episode.parquet").read().to_pylist()
+    assert {row["parent_id"] for row in full} == {p.segment_id for p in rows}
+    assert {row["start_frame"]: row["source"] for row in full} == {0: "signal", 10: "human", 20: "signal"}
+    page.press("z").wait(proposals=1, segments=2)
+
+
+def test_every_key_of_the_viewer_is_the_annotators(serve, screen, tmp_path: Path) -> None:
+    """Rerun binds Space, arrows, Home, End, digits and Ctrl+Z; with the focus in it they are still ours."""
+    write_mcap(tmp_path / "episode.mcap", duration_s=10)
+    page = screen(serve("annotate", ".").url).ready()
+    page.page.locator("#viewer canvas").click(position={"x": 60, "y": 60})
+    page.press("Home").wait(frame=0)
+    page.press("ArrowRight", "ArrowRight").wait(frame=2)
+    page.press("ArrowLeft").wait(frame=1)
+    page.press("End").wait(frame=299)
+    page.press("3").wait(lane="generic/pose_alignment")
+    page.press("w").wait(version=1)
+    page.press("Control+z").wait(version=2, segments=0)
+    page.press("Home", "Space").wait(playing="true")
+    page.press("Space").wait(playing="false")
+    stopped = int(page.state["frame"])
+    assert stopped > 0
+    page.wait_numbers([stopped])
+
+
+def test_hold_to_label_while_playing_and_loop(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=10)
+    page = screen(serve("annotate", ".").url).ready()
+    page.press("Space").wait(playing="true")
+    page.until(lambda: int(page.state["frame"]) > 10)
+    page.page.keyboard.down("h")
+    page.until(lambda: int(page.state["mark"] or 999) + 20 < int(page.state["frame"]))
+    page.page.keyboard.up("h")
+    page.wait(segments=1)
+    page.press("Space").wait(playing="false")
+    row = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
+    assert row["end_frame"] - row["start_frame"] >= 20
+    page.press("l").wait(playing="true")
+    seen = {int(page.state["frame"]) for _ in range(60)}
+    assert seen <= set(range(row["start_frame"], row["end_frame"] + 1))
+    page.press("l").wait(playing="false")
+
+
+def test_edges_snap_to_the_gripper(serve, screen, tmp_path: Path) -> None:
+    recording = write_mcap(tmp_path / "episode.mcap", duration_s=10)
+    page = screen(serve("annotate", ".").url).ready()
+    page.until(lambda: int(page.state["events"]) > 0, lambda: "events")
+    page.press("e")
+    closes = (recording.gripper_closes_ns - recording.times_ns["/camera/front"][0]) / 1e9 * 30
+    assert abs(int(page.state["frame"]) - closes) <= 15
+    event = int(page.state["frame"])
+    page.press("ArrowRight", "ArrowRight", "ArrowRight", "w").wait(version=1)
+    page.press("Home").press(*["Shift+ArrowRight"] * (event // 10))
+    page.press("I").wait(version=2)
+    page.press("s").wait(version=3)
+    row = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
+    assert row["start_frame"] == event
+
+
+def test_a_key_is_remapped_for_good(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=4)
+    server = serve("annotate", ".")
+    page = screen(server.url).wait(frame=0)
+    page.press("?")
+    page.page.click("[data-action=window]")
+    page.press("g").press("Escape")
+    page.press("g").wait(version=1)
+    page.page.reload()
+    page.wait(version=1).press("w", "g").wait(version=2)
+
+
+def _itc_of(instruction: str) -> str:
+    from jiti.tasks.catalogue import load_catalogue
+
+    task = load_catalogue().match(instruction)
+    assert task is not None
+    return task.itcs[0].itc_id
+
+
+def _propose(labels: Path, rows: list[Segment]) -> None:
+    from jiti.annotate.proposals import write_proposals
+
+    from jiti.annotate.segment_file import Recording
+
+    write_proposals(labels, "signal", rows, Recording(300, 30.0, "made"))
+    assert LabelStore(labels).annotators() == ["signal"]
