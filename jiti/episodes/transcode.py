@@ -11,7 +11,7 @@ import numpy as np
 
 from jiti.episodes.episode import INTER_CODED, Episode, ImageBatch, PictureFormat
 from jiti.episodes.video_decode import SampleDecoder, UndecodablePicture
-from jiti.episodes.video_encode import H264Encoder
+from jiti.episodes.video_encode import H264Encoder, scaled
 from jiti.errors import SourceError
 
 BATCH_FRAMES = 32
@@ -132,8 +132,7 @@ class _IntraPool:
         except UndecodablePicture as error:
             return str(error)
         height = min(self._max_height, picture.height)
-        width = round(picture.width * height / picture.height)
-        return picture.reformat(max(2, width & ~1), max(2, height & ~1), "yuv420p")
+        return scaled(picture, round(picture.width * height / picture.height), height)
 
 
 class _InterDecoder:

@@ -61,6 +61,8 @@ class SampleDecoder:
             self._context = self._new_context()
         packet = av.Packet(data)
         packet.pts = packet.dts = index
+        # Without the mark, FFmpeg's PNG decoder adds a picture to the one before it.
+        packet.is_keyframe = self.encoding not in INTER_CODED
         try:
             frames = self._context.decode(packet)
         except (FFmpegError, ValueError) as error:

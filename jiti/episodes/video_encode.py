@@ -15,6 +15,13 @@ MAX_BITS_A_PIXEL = 0.5
 """Ceiling of the bit rate, so that the size is known before encoding. Our choice: 4.6 Mbit/s at 640x480 and 30 Hz."""
 
 
+_LIMITED = 1
+"""AVCOL_RANGE_MPEG: luma from 16 to 235, what players take for granted."""
+
+_BT601, _RGB = 5, 0
+"""AVCOL_SPC_BT470BG, what JPEG uses, and AVCOL_SPC_RGB."""
+
+
 class H264Encoder:
     """One picture in, one Annex B sample out, at once. Not thread-safe."""
 
@@ -41,8 +48,10 @@ class H264Encoder:
 
     def encode(self, picture: av.VideoFrame) -> bytes:
         """The sample of this picture; SPS and PPS stand in front of each key frame."""
-        if (picture.width, picture.height, picture.format.name) != (self.width, self.height, "yuv420p"):
-            picture = picture.reformat(self.width, self.height, "yuv420p")
+        picture = scaled(picture, self.width, self.height)
+        if not self._count:
+            self._context.color_range = _LIMITED
+            self._context.colorspace = picture.colorspace
         picture.pts, picture.time_base = self._count, self._context.time_base
         picture.pict_type = 0  # The decoder's choice of key frames is not ours.
         self._count += 1
@@ -50,6 +59,16 @@ class H264Encoder:
         if len(packets) != 1:
             raise RuntimeError(f"libx264 gave {len(packets)} samples for one picture; zerolatency gives one")
         return bytes(packets[0])
+
+
+def scaled(picture: av.VideoFrame, width: int, height: int) -> av.VideoFrame:
+    """The picture as 4:2:0 in limited range, `width` x `height` pixels, both rounded down to even numbers."""
+    width, height = max(2, width & ~1), max(2, height & ~1)
+    is_so = (picture.width, picture.height, picture.format.name) == (width, height, "yuv420p")
+    if is_so and picture.color_range in (0, _LIMITED):
+        return picture
+    space = _BT601 if picture.colorspace == _RGB else picture.colorspace
+    return picture.reformat(width, height, "yuv420p", dst_colorspace=space, dst_color_range=_LIMITED)
 
 
 def max_encoded_bytes(width: int, height: int, count: int, rate_hz: float) -> int:
