@@ -1,6 +1,7 @@
 """Episodes for the page: the list with its queue, one with its clock and streams, its pictures, its events."""
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 from starlette.requests import Request
@@ -65,10 +66,7 @@ def episode_routes(session: Session) -> list[Route]:
         }
 
     def events(request: Request, _body: dict) -> dict[str, Any]:
-        found = find_events(session.episode(request.path_params["episode_id"]))
-        return {
-            "events": [{"frame": e.frame, "kind": e.kind, "stream": e.stream, "sharpness": e.sharpness} for e in found]
-        }
+        return {"events": [asdict(event) for event in find_events(session.episode(request.path_params["episode_id"]))]}
 
     def recording(request: Request, _body: dict) -> Any:
         opened = session.episode(request.path_params["episode_id"])
@@ -142,8 +140,5 @@ def describe_task(task: Task) -> dict[str, Any]:
     return {
         "task_id": task.task_id,
         "instruction": task.instruction,
-        "itcs": [
-            {"itc_id": i.itc_id, "statement": i.statement, "criterion": str(i.criterion), "check": i.check}
-            for i in task.itcs
-        ],
+        "itcs": [asdict(itc) for itc in task.itcs],
     }

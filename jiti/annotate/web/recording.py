@@ -199,7 +199,7 @@ def _blobs(data: Sequence[bytes]) -> pa.ListArray:
     return pa.ListArray.from_arrays(pa.array(offsets), joined, type=blob)
 
 
-_RAW_FORMATS = {
+_RAW_FORMATS: "dict[str, tuple[rr.datatypes.ColorModelLike, rr.datatypes.ChannelDatatypeLike]]" = {
     "rgb8": ("RGB", "U8"),
     "bgr8": ("BGR", "U8"),
     "rgba8": ("RGBA", "U8"),
@@ -219,9 +219,9 @@ def _raw_columns(stream: Stream, batch: ImageBatch) -> Any:
 
     assert batch.raw is not None
     raw, data = batch.raw, batch.data
-    model, datatype = _RAW_FORMATS.get(raw.pixel_format, _CONVERTED)
+    model, datatype = _RAW_FORMATS.get(raw.pixel_format, ("RGB", "U8"))
     kind = rr.DepthImage if stream.kind == "depth" else rr.Image
-    row_bytes = raw.width * len(model) * {"U8": 1, "U16": 2, "F32": 4}[datatype]
+    row_bytes = raw.width * len(str(model)) * {"U8": 1, "U16": 2, "F32": 4}[str(datatype)]
     if raw.pixel_format not in _RAW_FORMATS:  # Bayer and YUV: Rerun takes them in other layouts
         data = [to_rgb(raw_frame(picture, raw)).tobytes() for picture in data]
     elif raw.row_stride != row_bytes:
