@@ -63,7 +63,7 @@ class Transcode(Iterator[ImageBatch]):
         """Decoded pictures with their times, in order; pictures that stand alone are decoded by several threads."""
         workers = min(MAX_WORKERS, os.cpu_count() or 1)
         pending: deque[tuple[int, Future[av.VideoFrame | str]]] = deque()
-        inter = _InterDecoder(self)
+        inter = _InterDecoder(self, workers)
         pool = _IntraPool(workers, self.max_height)
         try:
             for batch in self.episode.read([self.stream]):
@@ -138,30 +138,31 @@ class _IntraPool:
 class _InterDecoder:
     """Decodes a video stream in order and gives each picture the time of its sample."""
 
-    def __init__(self, owner: Transcode) -> None:
-        self._owner = owner
+    def __init__(self, owner: Transcode, threads: int) -> None:
+        self._owner, self._threads = owner, threads
         self._decoder = SampleDecoder("")
         self._time_of: dict[int, int] = {}
+        """Times of samples without a picture so far, by index."""
         self._count = 0
+        self._reason = ""
 
     def decode(self, encoding: str, time_ns: int, data: bytes) -> Iterator[tuple[int, av.VideoFrame]]:
         if encoding != self._decoder.encoding:
             yield from self.flush()
-            self._decoder = SampleDecoder(encoding)
+            self._decoder = SampleDecoder(encoding, threads=self._threads)
         self._time_of[self._count] = time_ns
         self._count += 1
         try:
             pictures = self._decoder.decode(data, self._count - 1)
         except UndecodablePicture as error:
-            self._owner.leave_out(str(error), len(self._time_of))
-            self._time_of.clear()
+            self._reason = self._reason or str(error)
             return
         yield from self._timed(pictures)
 
     def flush(self) -> Iterator[tuple[int, av.VideoFrame]]:
         yield from self._timed(self._decoder.flush())
         if self._time_of:
-            self._owner.leave_out("the decoder gave no picture for it", len(self._time_of))
+            self._owner.leave_out(self._reason or "the decoder gave no picture for it", len(self._time_of))
             self._time_of.clear()
 
     def _timed(self, pictures: list[tuple[int, av.VideoFrame]]) -> Iterator[tuple[int, av.VideoFrame]]:

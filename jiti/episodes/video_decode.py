@@ -43,12 +43,13 @@ class UndecodablePicture(Exception):
 class SampleDecoder:
     """Samples in decoding order in, `(index, frame)` out; inter-coded streams may answer late. Not thread-safe."""
 
-    def __init__(self, encoding: str, raw: PictureFormat | None = None) -> None:
-        self.encoding, self.raw = encoding, raw
+    def __init__(self, encoding: str, raw: PictureFormat | None = None, *, threads: int = 1) -> None:
+        """With several threads an inter-coded stream answers later, and says of a picture later that it is bad."""
+        self.encoding, self.raw, self._threads = encoding, raw, threads
         self._context: Any = None
 
     def decode(self, data: bytes, index: int) -> list[tuple[int, av.VideoFrame]]:
-        """Raises UndecodablePicture; the decoder can then go on at the next key frame."""
+        """Raises UndecodablePicture; the decoder can go on with the next sample."""
         if not data:
             raise UndecodablePicture("it is empty")
         if self.encoding == "raw":
@@ -66,7 +67,8 @@ class SampleDecoder:
         try:
             frames = self._context.decode(packet)
         except (FFmpegError, ValueError) as error:
-            self.reset()
+            if self.encoding not in INTER_CODED:
+                self.reset()
             raise UndecodablePicture(_reason(error)) from error
         if self.encoding in INTER_CODED:
             return [(frame.pts, frame) for frame in frames if frame.pts is not None]
@@ -89,7 +91,7 @@ class SampleDecoder:
 
     def _new_context(self) -> Any:
         context: Any = av.CodecContext.create(DECODERS[self.encoding], "r")
-        context.thread_count = 1
+        context.thread_count, context.thread_type = self._threads, "AUTO"
         # "explode": half a JPEG is an error, not a picture with a grey half.
         context.options = {"max_pixels": str(MAX_PIXELS)} | (
             {"err_detect": "explode"} if self.encoding == "jpeg" else {}
