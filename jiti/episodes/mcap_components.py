@@ -18,6 +18,8 @@ _LEFT_OUT = {"header", "stamp", "timestamp", "seq", "sequence", "sequence_number
 """Times, counters, and the layout of ROS's multi-arrays, in lower case."""
 _TIME_KEYS = {"sec", "secs", "seconds", "nsec", "nsecs", "nanosec", "nanoseconds", "nanos"}
 _LABEL_LISTS = ("name", "names", "joint_names")
+_VALUES = ("value", "values", "data")
+"""Fields that add nothing to the name of what they hold."""
 _LABELS = ("name", "joint_name", "child_frame_id", "key")
 
 Leaf = Number | float
@@ -47,7 +49,7 @@ class Components:
             path = f"{prefix}{key}"
             if key in named:
                 for label, leaf in zip(names, _leaves(value), strict=True):
-                    self._add(f"{prefix}{_text(label)}.{key}", leaf)
+                    self._add(f"{prefix}{_text(label)}" if key in _VALUES else f"{prefix}{_text(label)}.{key}", leaf)
                 self.labels += [label for label in names if isinstance(label, Text)]
             elif _is_number(value):
                 self._add(path, value)

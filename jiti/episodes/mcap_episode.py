@@ -85,7 +85,7 @@ class McapEpisode:
     def read(self, streams: Sequence[str] | None = None) -> Iterator[Batch]:
         """Yield the named streams, or all cameras, depth and numbers, in one pass. See `Episode.read`.
 
-        Memory: a chunk in use, one that is unpacked meanwhile, and what chunks that overlap in time hold back.
+        Memory: one chunk, and what is held back where chunks overlap in time.
         """
         readable = [name for name, stream in self.streams.items() if stream.kind != "other"]
         wanted = readable if streams is None else list(dict.fromkeys(streams))
