@@ -26,6 +26,9 @@ NOT_PLACE = frozenset({"orientation", "rotation", "rot", "quat", "quaternion", "
 NOT_ROBOT = frozenset({"eye", "camera", "cube", "object", "objects", "environment", "index", "timestamp"})
 SIDES = frozenset({"left", "right"})
 
+MAX_SWITCHES = 8
+"""Contacts up to this many are told apart, more are taken as one: a tactile skin. Our choice."""
+
 METRES = 0.15
 """A finger that never stands further out than this is measured in metres. Our choice: parallel grippers open to
 0.02 to 0.10 m, while finger joints in radians, degrees or per cent go far beyond."""
@@ -76,12 +79,12 @@ def _of_stream(stream: Stream) -> Iterable[Channel]:
     inner = _component_words(stream)
     for column, own in enumerate(inner):
         every = outer | own
-        if every & NOT_ROBOT or (outer & NOT_POSITION and not every & (CONTACT | FORCE)):
-            continue
         if every & CONTACT:
             groups.setdefault(("contact", _side(every)), []).append(column)
         elif every & FORCE and not own & NOT_POSITION:
             groups.setdefault(("force", _side(every)), []).append(column)
+        elif every & NOT_ROBOT or outer & NOT_POSITION:
+            continue
         elif every & GRIPPER and not own & (NOT_POSITION | NOT_PLACE) and not own & {"x", "y", "z", "w"}:
             groups.setdefault(("gripper", _side(every)), []).append(column)
     if _is_pair_of_fingers(groups, inner):
@@ -91,7 +94,9 @@ def _of_stream(stream: Stream) -> Iterable[Channel]:
     for (role, side), columns in groups.items():
         names = outer.union(*(inner[c] for c in columns))
         opens = _opens(names, len(columns), commanded=commanded) if role == "gripper" else "unknown"
-        yield Channel(role, stream.name, tuple(columns), side, commanded, opens)
+        apart = [[c] for c in columns] if role == "contact" and len(columns) <= MAX_SWITCHES else [columns]
+        for together in apart:
+            yield Channel(role, stream.name, tuple(together), side, commanded, opens)
 
 
 def _opens(names: set[str], size: int, *, commanded: bool) -> Literal["up", "down", "unknown"]:

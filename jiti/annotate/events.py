@@ -39,7 +39,7 @@ SMOOTH_S = 0.15
 """Places are averaged over this before speeds are taken, in seconds. Our choice: hands tremble at 8 to 12 Hz."""
 
 MERGE_S = 0.25
-"""Events of one kind and side closer than this, in seconds, are one seen in two streams. Our choice."""
+"""Events of one kind and side in two streams, closer than this in seconds, are one event. Our choice."""
 
 IDLE_SHARE = 0.2
 """An arm or hand that moves by less than this share of its busiest peer is idle. Our choice."""
@@ -273,10 +273,11 @@ def _noise(signal: np.ndarray) -> float:
 
 
 def _merged(events: Iterable[Event], rate_hz: float) -> Events:
-    """In order; of events of one kind and side that are close together, the sharpest."""
+    """In order; of events of one kind and side that are close together in different streams, the sharpest."""
     kept: list[Event] = []
     for event in sorted(events, key=lambda e: -e.sharpness):
-        same = (k for k in kept if (k.kind, k.side) == (event.kind, event.side))
-        if all(abs(k.frame - event.frame) > MERGE_S * rate_hz for k in same):
+        same = [k for k in kept if (k.kind, k.side) == (event.kind, event.side)]
+        reach = [0 if k.stream == event.stream else MERGE_S * rate_hz for k in same]
+        if all(abs(k.frame - event.frame) > most for k, most in zip(same, reach, strict=True)):
             kept.append(event)
     return tuple(sorted(kept, key=lambda e: (e.frame, e.kind, e.side)))

@@ -147,6 +147,17 @@ def test_contacts_and_forces_begin_and_end():
     assert found("/wrench", force, ("force.x", "force.y", "force.z")) == [(CLOSE, "contact_on"), (OPEN, "contact_off")]
 
 
+def test_contacts_with_different_things_are_told_apart():
+    cube, table = np.zeros((2, FRAMES, 1))
+    cube[CLOSE:OPEN], table[30:40] = 2, 1
+    assert found("/contact", np.hstack([cube, table]), ("cube", "table")) == [
+        (30, "contact_on"),
+        (40, "contact_off"),
+        (CLOSE, "contact_on"),
+        (OPEN, "contact_off"),
+    ]
+
+
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=60), st.floats(0.1, 3))
 def test_turning_points_alternate_and_differ_by_the_swing(values, swing):
     signal = np.array(values)
