@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -51,6 +52,21 @@ def read_columns(path: Path, label: str, columns: Sequence[str] | None, needed: 
             return file.read(None if columns is None else [name for name in columns if name in there])
         except (pa.ArrowException, OSError) as error:
             raise damaged(label, error) from error
+
+
+def to_numpy(array: pa.Array) -> tuple[np.ndarray, np.ndarray]:
+    """Values (N,) of an int64 or float64 array, and which of them are not null, (N,) bool.
+
+    Arrow's own conversion imports pandas where it is installed, which takes half a second.
+    """
+    if not len(array):
+        return np.empty(0, np.int64 if pa.types.is_int64(array.type) else np.float64), np.empty(0, bool)
+    valid, values = array.buffers()
+    span = slice(array.offset, array.offset + len(array))
+    numbers = np.frombuffer(values, np.int64 if pa.types.is_int64(array.type) else np.float64)[span]
+    if valid is None:
+        return numbers, np.ones(len(array), bool)
+    return numbers, np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")[span].astype(bool)
 
 
 def damaged(label: str, error: Exception) -> SourceError:

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jiti.episodes.lerobot_info import INDEX_COLUMNS
-from jiti.episodes.lerobot_parquet import damaged, open_parquet
+from jiti.episodes.lerobot_parquet import damaged, open_parquet, to_numpy
 from jiti.errors import SourceError
 
 
@@ -88,8 +88,8 @@ class EpisodeRows:
                     lo, hi = np.searchsorted(rows, [start, start + batch.num_rows])
                     mine = rows[lo:hi] - start
                     start += batch.num_rows
-                    if len(mine) == batch.num_rows:
-                        yield batch
+                    if len(mine) and mine[-1] - mine[0] + 1 == len(mine):
+                        yield batch.slice(mine[0], len(mine))
                     elif len(mine):
                         yield batch.take(pa.array(mine))
                     if start > rows[-1]:
@@ -111,7 +111,8 @@ def to_floats(column: pa.Array, size: int) -> np.ndarray:
             break
         flat = flat.flatten()
     if len(flat) == count * size and not pa.types.is_nested(flat.type):
-        return flat.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False).reshape(count, size)
+        values, valid = to_numpy(flat.cast(pa.float64(), safe=False))
+        return np.where(valid, values, np.nan).reshape(count, size)
     values = np.full((count, size), np.nan)
     for row, cell in enumerate(column.to_pylist()):
         numbers = list(_flat(cell))[:size]

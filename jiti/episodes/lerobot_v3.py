@@ -11,7 +11,7 @@ import pyarrow as pa
 from jiti.episodes.episode import Problem
 from jiti.episodes.lerobot_entry import EpisodeEntry, VideoPlace, is_index, is_time
 from jiti.episodes.lerobot_info import DatasetInfo
-from jiti.episodes.lerobot_parquet import damaged, read_columns
+from jiti.episodes.lerobot_parquet import damaged, read_columns, to_numpy
 from jiti.errors import SourceError
 
 _VIDEO_COLUMNS = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
@@ -100,7 +100,7 @@ class V3Table:
                 problems += self._overlap(place, at, others, f"rows {first[at]} to {end[at] - 1}")
         for key, video in videos.items():
             chunk, file = (_whole(table, f"videos/{key}/{name}", place) for name in _VIDEO_COLUMNS[:2])
-            start = table[f"videos/{key}/from_timestamp"].to_numpy().astype(float)
+            start = _times(table, f"videos/{key}/from_timestamp")
             end = start + self.lengths / self.info.fps
             # Half a frame: sums of durations differ in their last digits.
             slack = 0.5 / self.info.fps
@@ -138,6 +138,20 @@ def _joined(parts: list[pa.Table], place: str) -> pa.Table:
 def _whole(table: pa.Table, column: str, place: str) -> np.ndarray:
     """Whole numbers (N,) int64; negative where there is none."""
     try:
-        return table[column].cast(pa.int64(), safe=False).fill_null(-1).to_numpy()
+        values, valid = to_numpy(_array(table, column).cast(pa.int64(), safe=False))
     except pa.ArrowException as error:
         raise SourceError(f"{place}: column {column!r} does not hold whole numbers ({error}). Correct it.") from error
+    return np.where(valid, values, -1)
+
+
+def _times(table: pa.Table, column: str) -> np.ndarray:
+    """Seconds (N,) float64; NaN where there is none."""
+    values, valid = to_numpy(_array(table, column).cast(pa.float64(), safe=False))
+    return np.where(valid, values, np.nan)
+
+
+def _array(table: pa.Table, column: str) -> pa.Array:
+    chunks = table[column].chunks
+    if len(chunks) == 1:
+        return chunks[0]
+    return pa.concat_arrays(chunks) if chunks else pa.nulls(0, table[column].type)
