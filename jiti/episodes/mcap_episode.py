@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -52,35 +51,11 @@ class McapEpisode:
         self.streams: Mapping[str, Stream] = {stream.name: stream.describe() for stream in found}
         self.task = task_of(self._contents, found)
         self.clock = _clock(found)
+        self.image_bytes = _image_bytes(self._contents, found)
         self._faults = Faults()
         self._opening_problems = self._find_problems()
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """What opening found, and what reading has found so far."""
-        losses = chunk_losses(self._contents, list(self._streams.values()), self._faults.chunks)
-        return [
-            *self._opening_problems,
-            *loss_problems(self.path.name, self._contents, losses, self._start_log_ns),
-            *read_problems(self.path.name, self._streams, self._faults, int(self.clock.frame_ns[0])),
-        ]
-
-    @cached_property
-    def image_bytes(self) -> int:
-        """Upper bound of the bytes of all pictures: the room between their records and the next ones."""
-        starts = {
-            s.name: s.rows.chunk.astype(np.int64) << 32 | s.rows.offset
-            for s in self._streams.values()
-            if len(s.rows.chunk)
-        }
-        ends = np.array([c.number << 32 | c.unpacked_size for c in self._contents.chunks], np.int64)
-        every = np.sort(np.concatenate([*starts.values(), ends]))
-        total = 0
-        for stream in self._streams.values():
-            if stream.reading.role == "picture" and stream.name in starts:
-                after = np.searchsorted(every, starts[stream.name], side="right")
-                total += int((every[after] - starts[stream.name]).sum())
-        return total
+        self.problems: Sequence[Problem] = self._opening_problems
+        """What opening found, and, after each pass, what reading has found."""
 
     def read(self, streams: Sequence[str] | None = None) -> Iterator[Batch]:
         """Yield the named streams, or all cameras, depth and numbers, in one pass. See `Episode.read`.
@@ -106,19 +81,32 @@ class McapEpisode:
                     raise SourceError(f"{self.path} changed since it was opened. Open it again.")
                 yield from read_streams(file, self._contents, streams, faults)
         finally:
-            self._faults = _merged(self._faults, faults)
+            self._found(faults)
 
     def check(self) -> Sequence[Problem]:
         """Unpack every chunk once, so that `problems` names all that are corrupt; returns them."""
+        faults = Faults()
+        known = {loss.chunk for loss in self._contents.losses}
         with McapFile(self.path) as file:
             for chunk in self._contents.chunks:
-                if any(loss.chunk == chunk.number for loss in self._contents.losses):
+                if chunk.number in known:
                     continue
                 try:
                     unpack(file, chunk)
                 except RecordDamaged as error:
-                    self._faults.chunks[chunk.number] = str(error)
+                    faults.chunks[chunk.number] = str(error)
+        self._found(faults)
         return self.problems
+
+    def _found(self, faults: Faults) -> None:
+        """Take in what a pass found wrong."""
+        self._faults = _merged(self._faults, faults)
+        losses = chunk_losses(self._contents, list(self._streams.values()), self._faults.chunks)
+        self.problems = [
+            *self._opening_problems,
+            *loss_problems(self.path.name, self._contents, losses, self._start_log_ns),
+            *read_problems(self.path.name, self._streams, self._faults, int(self.clock.frame_ns[0])),
+        ]
 
     @property
     def _start_log_ns(self) -> int:
@@ -166,6 +154,21 @@ def read_contents(file: McapFile) -> Contents:
         why = f"what was found: {found}" if found else f"channels declared: {declared}"
         raise SourceError(f"{path} has no messages that can be read; {why}. {again}")
     return contents
+
+
+def _image_bytes(contents: Contents, streams: Sequence[McapStream]) -> int:
+    """Upper bound of the bytes of all pictures: the room between their records and the next ones."""
+    cameras = [s for s in streams if s.reading.role == "picture" and len(s.rows.chunk)]
+    if not cameras:
+        return 0
+    ends = np.array([chunk.number << 32 | chunk.unpacked_size for chunk in contents.chunks], np.int64)
+    every = np.sort(np.concatenate([ends, *(_places(s) for s in streams)]))
+    return sum(int((every[np.searchsorted(every, _places(s), side="right")] - _places(s)).sum()) for s in cameras)
+
+
+def _places(stream: McapStream) -> np.ndarray:
+    """Chunk and offset of each message as one number, (N,) int64."""
+    return stream.rows.chunk.astype(np.int64) << 32 | stream.rows.offset
 
 
 def _fingerprint(file: McapFile) -> str:

@@ -22,13 +22,13 @@ def mcap_episode_id(path: Path, root: Path) -> str:
     The path inside the folder without `.mcap`, percent-encoded, also a leading dot; a long one ends in a hash.
     """
     inside = os.fsencode(_inside(path, root))
-    name = inside.removesuffix(SUFFIX.encode()) or inside
-    quoted = quote_from_bytes(name, safe="")
+    name = inside.removesuffix(SUFFIX.encode())
+    # Quoting never leaves a bare "%", so another suffix has an id of its own.
+    quoted = quote_from_bytes(name, safe="") + ("" if name != inside else "%")
     if quoted.startswith("."):
         quoted = "%2E" + quoted[1:]
     if len(quoted) > MAX_ID_BYTES:
         digest = hashlib.blake2b(inside, digest_size=16).hexdigest()
-        # Quoting never leaves "%%", so no short path has such an id.
         quoted = f"{quoted[: MAX_ID_BYTES - len(digest) - 2]}%%{digest}"
     return quoted
 
