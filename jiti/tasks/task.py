@@ -37,3 +37,5 @@ class Task:
     """Where it is defined: `supplement, Table 4`."""
     bddl: str | None = None
     """LIBERO's BDDL file, `suite/name`, for tasks in simulation."""
+    aliases: tuple[str, ...] = ()
+    """Other wordings under which recordings have it."""
