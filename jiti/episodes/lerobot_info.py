@@ -112,7 +112,7 @@ class DatasetInfo:
             path.startswith(("/", "~"))
             or Path(path).is_absolute()
             or "\0" in path
-            or {"..", ""} & set(path.replace("\\", "/").split("/"))
+            or {"..", ".", ""} & set(path.replace("\\", "/").split("/"))
         ):
             raise SourceError(
                 f"{self.file_name}: {name} {template!r} gives {path!r}, which is not a place inside the dataset. "

@@ -60,16 +60,16 @@ class EpisodeRows:
 
         One pass over the row groups; one a piece when the rows are shuffled in the file.
         """
-        if (np.diff(self._rows) > 0).all():
-            pieces = [self._rows]
-        else:
+        pieces = [self._rows]
+        shuffled = bool((np.diff(self._rows) < 0).any())
+        if shuffled:
             pieces = np.split(self._rows, np.arange(rows_at_once, self.count, rows_at_once))
         first = 0
         for piece in pieces:
             order = np.argsort(piece, kind="stable")
             held = []
             for batch in self._in_file_order(columns, piece[order], rows_at_once):
-                if len(pieces) > 1:
+                if shuffled:
                     held.append(batch)
                     continue
                 yield first, batch

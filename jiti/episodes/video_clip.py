@@ -270,16 +270,18 @@ def _open(clip: Clip) -> Iterator[tuple[Any, Any]]:
     if container_format is None:
         what = "is empty" if not head else "is not an MP4, Matroska or AVI video"
         raise SourceError(f"{clip.label}: the file {what}. Download or record it again.")
+    reason = "it has no video stream"
+    container = None
     try:
         container = av.open(str(clip.path.absolute()), format=container_format, metadata_errors="ignore")
     except FFmpegError as error:
+        reason = str(error.strerror)
+    if container is None or not container.streams.video:
         raise SourceError(
-            f"{clip.label}: the video cannot be opened ({error.strerror}); "
+            f"{clip.label}: the video cannot be opened ({reason}); "
             "its recording or its download was cut off. Record or download it again."
-        ) from error
+        )
     with container:
-        if not container.streams.video:
-            raise SourceError(f"{clip.label}: there is no video stream in this file. Download or record it again.")
         yield container, container.streams.video[0]
 
 
