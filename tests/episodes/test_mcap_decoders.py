@@ -59,7 +59,9 @@ def plain(block: bytes, value: Any) -> Any:
 @st.composite
 def ros_messages(draw: st.DrawFn, depth: int = 0) -> tuple[list[str], list[str], dict[str, Any]]:
     """Lines of a definition, definitions that it needs, and a message as plain values."""
-    lines, others, message = [], [], {}
+    lines: list[str] = []
+    others: list[str] = []
+    message: dict[str, Any] = {}
     for index in range(draw(st.integers(1, 5))):
         kind = draw(st.sampled_from([*RANGES, "string", *(["inner"] if depth < 2 else [])]))
         shape = draw(st.sampled_from(["one", "fixed", "sequence", "bounded"]))
@@ -78,7 +80,7 @@ def ros_messages(draw: st.DrawFn, depth: int = 0) -> tuple[list[str], list[str],
         many = draw(st.lists(element, min_size=count, max_size=count))
         message[name] = draw(element) if shape == "one" else many
         if kind == "uint8" and shape in ("sequence", "bounded"):
-            message[name] = bytes(many)
+            message[name] = bytes([int(item) for item in many])  # type: ignore[call-overload]
     return lines, others, message
 
 
