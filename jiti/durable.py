@@ -24,7 +24,7 @@ def save_failed(path: Path, error: OSError) -> SaveFailed:
         remedy = "Make the folder writable, or name another one with --labels, and save again"
     else:
         remedy = "Check the disk and save again"
-    reason = (error.strerror or str(error)).lower()
+    reason = (os.strerror(error.errno) if error.errno else str(error)).lower()
     return SaveFailed(f"{path} could not be saved: {reason}. Nothing that was saved before is lost. {remedy}.")
 
 

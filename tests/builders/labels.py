@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pyarrow as pa
+
 from jiti.annotate.segment_file import Recording
-from jiti.annotate.segments import Segment, new_segment_id
+from jiti.annotate.segments import SCHEMA, Segment, new_segment_id
 
 RECORDING = Recording(frame_count=300, frame_rate_hz=30.0, fingerprint="f00d")
 
@@ -53,3 +55,10 @@ def ordinary_user() -> Iterator[None]:
 def names_in(folder: Path) -> list[str]:
     """Everything in a folder, hidden files as well."""
     return sorted(path.name for path in folder.iterdir())
+
+
+def table(*rows: tuple[str, Segment]) -> pa.Table:
+    """What `read_segments` gives for these annotators' rows."""
+    columns = {name: [getattr(row, name) for _, row in rows] for name in SCHEMA.names}
+    annotators = pa.array([annotator for annotator, _ in rows], pa.string())
+    return pa.table(columns, schema=SCHEMA).append_column("annotator", annotators)
