@@ -67,7 +67,8 @@ def test_importing_robosuite_says_nothing_and_writes_no_log(tmp_path):
     log = "/tmp/robosuite.log"  # where robosuite 1.4.0 logs to unless told not to
     code = (
         "import builtins, sys\n"
-        f"sys.addaudithook(lambda event, args: print('OPENED', args) if event == 'open' and args[0] == {log!r} else None)\n"
+        f"said = lambda event, args: print('OPENED') if event == 'open' and args[0] == {log!r} else None\n"
+        "sys.addaudithook(said)\n"
         "from jiti.runtime.sim.engine import import_robosuite\n"
         "from jiti.runtime.sim.gl import Graphics\n"
         "print(import_robosuite(Graphics(None, '')).__version__)\n"

@@ -46,7 +46,7 @@ def draw_manner(random: np.random.Generator) -> Manner:
     return Manner(
         aside_m=float(random.choice([-1, 1]) * random.uniform(0.009, 0.012)) if faults[0] else 0.0,
         turned_rad=float(random.choice([-1, 1]) * random.uniform(0.25, 0.4)) if faults[1] else 0.0,
-        low_m=0.025 if faults[2] else 0.0,
+        low_m=0.03 if faults[2] else 0.0,
         hurried=bool(faults[3]),
     )
 
