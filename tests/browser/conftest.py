@@ -81,6 +81,8 @@ class Server:
             if line.startswith("Open "):
                 self.url = line.split()[1]
                 return
+        self.process.wait()
+        self._close()
         raise AssertionError(f"jiti {self.args} did not start: {''.join(lines)}")
 
     def kill(self) -> None:

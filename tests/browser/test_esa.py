@@ -235,5 +235,5 @@ def _propose(labels: Path, rows: list[Segment]) -> None:
 
     from jiti.annotate.segment_file import Recording
 
-    write_proposals(labels, "signal", rows, Recording(300, 30.0, "made"))
+    write_proposals(labels, "signal", "episode", rows, Recording(300, 30.0, "made"))
     assert LabelStore(labels).annotators() == ["signal"]

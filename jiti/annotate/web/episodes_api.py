@@ -9,12 +9,12 @@ from starlette.responses import FileResponse, JSONResponse, StreamingResponse
 from starlette.routing import Route
 
 from jiti.annotate.events import find_events
-from jiti.annotate.proposals import EpisodeQueue, episode_queue
-from jiti.annotate.store import labels_version
+from jiti.annotate.folder import labels_version
 from jiti.annotate.web.answers import endpoint
 from jiti.annotate.web.labels_api import rows
 from jiti.annotate.web.recording import needs_transcoding, stream_recording
 from jiti.annotate.web.session import Session
+from jiti.annotate.web.waiting import Progress, progress
 from jiti.episodes.episode import Episode
 from jiti.tasks.task import Task
 
@@ -36,10 +36,9 @@ def episode_routes(session: Session) -> list[Route]:
         return {"version": labels_version(session.store.labels_dir), "problems": [str(p) for p in problems]}
 
     def episodes(_request: Request, _body: dict) -> dict[str, Any]:
-        queues = episode_queue(session.store.labels_dir, session.annotator)
+        reached = progress(session.store.labels_dir, session.annotator)
         listing = []
         for ref in session.refs():
-            queue = queues.get(ref.episode_id, EpisodeQueue())
             listing.append(
                 {
                     "episode_id": ref.episode_id,
@@ -47,10 +46,7 @@ def episode_routes(session: Session) -> list[Route]:
                     "task": ref.task,
                     "frame_count": ref.frame_count,
                     "problem": str(ref.problem) if ref.problem else None,
-                    "segments": queue.segments,
-                    "undecided": queue.undecided,
-                    "proposals": queue.proposals,
-                    "expected_change": queue.expected_change,
+                    **asdict(reached.get(ref.episode_id, Progress())),
                 }
             )
         return {"episodes": listing, "version": labels_version(session.store.labels_dir)}

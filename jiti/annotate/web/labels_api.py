@@ -1,16 +1,18 @@
 """Labels for the page: an annotator's rows on an episode, edits, undo and redo, decisions on proposals."""
 
 import time
+from dataclasses import replace
 from typing import Any
 
 from starlette.requests import Request
 from starlette.routing import Route
 
-from jiti.annotate.proposals import accept, edit, pending, reject
+from jiti.annotate.partition import Partition
+from jiti.annotate.proposals import accept, edit, reject
 from jiti.annotate.segments import Segment, new_segment_id
-from jiti.annotate.store import Partition
 from jiti.annotate.web.answers import endpoint, take
 from jiti.annotate.web.session import Session
+from jiti.annotate.web.waiting import waiting
 from jiti.episodes.clock import Clock
 from jiti.errors import LabelError
 from jiti.tasks.task import Task
@@ -44,14 +46,19 @@ def label_routes(session: Session) -> list[Route]:
     def decide(request: Request, body: dict) -> dict[str, Any]:
         episode_id, segment_id = request.path_params["episode_id"], request.path_params["segment_id"]
         partition = session.partition(episode_id)
-        waiting = {p.segment_id: p for p in pending(session.store.labels_dir, session.annotator, episode_id)}
-        if segment_id not in waiting:
+        proposals = {p.segment_id: p for p in waiting(session.store.labels_dir, session.annotator, episode_id)}
+        if segment_id not in proposals:
             raise LabelError(f"no proposal {segment_id} waits for {session.annotator} in {episode_id}.")
-        decision = take(body, "decision", str)
-        decisions = {"accept": accept, "reject": reject, "edit": edit}
-        if decision not in decisions:
+        decision, proposal = take(body, "decision", str), proposals[segment_id]
+        if decision == "accept":
+            row = accept(proposal)
+        elif decision == "reject":
+            row = reject(proposal)
+        elif decision == "edit":
+            row = edit(proposal, reward=body.get("reward", proposal.reward))
+        else:
             raise LabelError(f"decision is {decision!r}; it must be accept, edit or reject.")
-        row = decisions[decision](waiting[segment_id])
+        row = replace(row, created_at=time.time_ns(), updated_at=time.time_ns())
         partition.apply(f"{decision} proposal", [row], [], based_on=take(body, "based_on", int))
         return {**rows(session, episode_id), "segment_id": row.segment_id}
 
@@ -71,7 +78,7 @@ def rows(session: Session, episode_id: str) -> dict[str, Any]:
     return {
         "version": partition.version,
         "segments": [s.to_row() for s in partition.segments],
-        "proposals": [p.to_row() for p in pending(session.store.labels_dir, session.annotator, episode_id)],
+        "proposals": [p.to_row() for p in waiting(session.store.labels_dir, session.annotator, episode_id)],
         "can_undo": partition.can_undo,
         "can_redo": partition.can_redo,
     }

@@ -66,7 +66,7 @@ class Session:
 
     def task(self, episode: Episode) -> Task:
         """The catalogue's task for the episode's instruction, or a generic one with an ITC for each criterion."""
-        return self.catalogue.task_for(episode.task)
+        return self.catalogue.for_instruction(episode.task)
 
     def partition(self, episode_id: str, annotator: str | None = None) -> Partition:
         """The rows of an annotator (default: this server's) on an episode."""

@@ -154,7 +154,7 @@ function markWindow() {
 }
 
 function setVerdict(id, reward) {
-  if (labels.isProposal(id)) return hint("This is a proposal: accept, edit or reject it.");
+  if (labels.isProposal(id)) return decide(id, "edit", { reward });
   if (!labels.get(id)) return hint("Select or mark a segment first.");
   labels.change("verdict", id, (s) => (s.reward === reward ? null : { reward }));
 }
@@ -199,9 +199,10 @@ function step(direction) {
 
 // ---- proposals ----
 
-async function decide(id, decision) {
+// A verdict given to a proposal takes it over with that verdict.
+async function decide(id, decision, verdict) {
   if (!labels.isProposal(id)) return hint("Select a proposal first.");
-  const answer = await labels.decide(id, decision);
+  const answer = await labels.decide(id, decision, verdict);
   if (!answer) return;
   if (decision === "edit") select(answer.segment_id);
   else nextProposal(false);

@@ -61,8 +61,9 @@ export class Labels {
     return this.#save("/redo", () => (this.canRedo ? {} : null));
   }
 
-  decide(id, decision) {
-    return this.#save(`/proposals/${encodeURIComponent(id)}`, () => (this.isProposal(id) ? { decision } : null));
+  // `verdict` goes with "edit": { reward }.
+  decide(id, decision, verdict = {}) {
+    return this.#save(`/proposals/${encodeURIComponent(id)}`, () => (this.isProposal(id) ? { decision, ...verdict } : null));
   }
 
   async refresh() {
