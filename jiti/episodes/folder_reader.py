@@ -8,12 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from jiti.episodes.episode import Episode, EpisodeRef, Problem
-from jiti.episodes.episode_id import SUFFIX, episode_id_of
+from jiti.episodes.mcap_reader import SUFFIX, McapReader, mcap_episode_id
 from jiti.episodes.summary_cache import Summary, SummaryCache
 from jiti.errors import SourceError
-
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-"""First bytes of an MCAP file (MCAP specification, Magic)."""
 
 LABELS_FOLDER = "labels"
 
@@ -36,10 +33,10 @@ class FolderReader:
         other: Counter[str] = Counter()
         for path in self._files():
             if path.suffix == SUFFIX:
-                self._paths[episode_id_of(path, self.root)] = path
+                self._paths[mcap_episode_id(path, self.root)] = path
             else:
                 other[path.suffix.lower() or "no suffix"] += 1
-        self._refs = {episode_id: self._ref(episode_id, path) for episode_id, path in self._paths.items()}
+        self._refs = {episode_id: self._ref(path) for episode_id, path in self._paths.items()}
         if all(ref.problem for ref in self._refs.values()):
             raise self._nothing(other)
         count = len(self._refs)
@@ -49,8 +46,6 @@ class FolderReader:
         return list(self._refs.values())
 
     def open(self, episode_id: str) -> Episode:
-        from jiti.episodes.mcap_reader import McapReader
-
         path = self._paths.get(episode_id)
         if path is None:
             has = ", ".join(list(self._paths)[:5]) + (", ..." if len(self._paths) > 5 else "")
@@ -76,7 +71,7 @@ class FolderReader:
         for folder, names, files in os.walk(self.root, onerror=self._unreadable):
             names[:] = [n for n in names if not n.startswith(".") and n != LABELS_FOLDER and not n.endswith(".labels")]
             found += [Path(folder, name) for name in files if not name.startswith(".")]
-        return sorted(found, key=lambda path: _natural(self._inside(path)))
+        return sorted(found, key=lambda path: natural_key(self._inside(path)))
 
     def _unreadable(self, error: OSError) -> None:
         where = str(error.filename)
@@ -84,23 +79,17 @@ class FolderReader:
             Problem(where, f"the folder cannot be read ({error.strerror})", "Its recordings are not listed.", "error")
         )
 
-    def _ref(self, episode_id: str, path: Path) -> EpisodeRef:
+    def _ref(self, path: Path) -> EpisodeRef:
         """From the cache, or else from the file's first bytes."""
-        inside = self._inside(path)
-        title = inside.removesuffix(SUFFIX)
+        (ref,) = McapReader(path, root=self.root).episodes()
         try:
-            stat = path.stat()
-            if known := self._cache.get(inside, stat):
-                problem = Problem(*known.problem, "error") if known.problem else None
-                return EpisodeRef(episode_id, title, known.frame_count, known.task, stat.st_size, problem)
-            with path.open("rb") as file:
-                head = file.read(64)
-        except OSError as error:
-            remedy = "Check the file and its permissions; the other recordings can be used."
-            return EpisodeRef(
-                episode_id, title, problem=Problem(inside, f"it cannot be read ({error.strerror})", remedy, "error")
-            )
-        return EpisodeRef(episode_id, title, None, None, stat.st_size, _bad_head(inside, head))
+            known = self._cache.get(self._inside(path), path.stat())
+        except OSError:
+            return ref
+        if known is None:
+            return ref
+        problem = Problem(*known.problem, "error") if known.problem else None
+        return replace(ref, frame_count=known.frame_count, task=known.task, problem=problem)
 
     def _remember(self, path: Path, summary: Summary) -> None:
         self._cache.put(self._inside(path), summary)
@@ -130,16 +119,7 @@ class FolderReader:
         return sorted(path.parent.parent.relative_to(self.root).as_posix() for path in found)
 
 
-def _bad_head(inside: str, head: bytes) -> Problem | None:
-    if head.startswith(MCAP_MAGIC):
-        return None
-    if head.startswith(b"version https://git-lfs"):
-        return Problem(inside, "it is a Git LFS pointer, not the recording", "Run `git lfs pull`.", "error")
-    what = "the file is empty" if not head else "it is not an MCAP file"
-    return Problem(inside, what, "Record or copy it again; the other recordings can be used.", "error")
-
-
-def _natural(text: str) -> list[tuple[int, int, str]]:
+def natural_key(text: str) -> list[tuple[int, int, str]]:
     """Numbers in the text compare as numbers; folders stay together."""
     parts = [part for part in re.split(r"(\d+|/)", text) if part]
     return [(0, 0, "") if p == "/" else (1, int(p), p) if p.isdecimal() else (2, 0, p.casefold()) for p in parts]

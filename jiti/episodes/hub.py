@@ -122,13 +122,19 @@ def _download(repo_id: str, where: str, note: str) -> Path:
             "Check the name; for a private dataset run `hf auth login`."
         ) from error
     except (LocalEntryNotFoundError, httpx.TransportError) as error:
+        if isinstance(error.__cause__, HfHubHTTPError):
+            raise _failed(repo_id, error.__cause__, looked) from error
         raise SourceError(
             f"{repo_id}: no such file or folder, and the Hub cannot be reached. {looked} "
             "Connect to the network, or give the path of a folder."
         ) from error
     except (HfHubHTTPError, HFValidationError, OSError) as error:
-        reason = str(error).strip().split("\n")[0][:200]
-        raise SourceError(f"{repo_id}: the download failed ({reason}). {looked} Try again.") from error
+        raise _failed(repo_id, error, looked) from error
     if not (folder / INFO_PATH).is_file():
         raise SourceError(f"{repo_id}: this dataset on the Hub is not a LeRobot dataset: it has no {INFO_PATH}.")
     return folder
+
+
+def _failed(repo_id: str, error: Exception, looked: str) -> SourceError:
+    reason = str(error).strip().split("\n")[0][:200]
+    return SourceError(f"{repo_id}: the download failed ({reason}). {looked} Try again.")

@@ -1,5 +1,6 @@
 """What is in a source: episodes, streams, clocks, and the problems found."""
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -90,10 +91,15 @@ def to_json(report: SourceReport) -> dict[str, Any]:
     return asdict(report)
 
 
-def print_report(report: SourceReport, console: "Console") -> None:
-    """Print for a person; reads well from 80 columns on."""
+def print_report(report: SourceReport, console: "Console | None" = None, *, as_json: bool = False) -> None:
+    """Print for a person, readable from 80 columns on, or as JSON for a script; to standard output by default."""
+    if as_json:
+        print(json.dumps(to_json(report), indent=2))
+        return
+    from rich.console import Console
     from rich.text import Text
 
+    console = console or Console(highlight=False)
     console.print(Text(report.title, style="bold"))
     console.print(Text.assemble("labels  ", (report.labels_dir, "dim")), soft_wrap=True)
     if len(report.episodes) == 1:

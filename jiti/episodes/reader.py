@@ -3,10 +3,12 @@
 from pathlib import Path
 
 from jiti.episodes.episode import EpisodeReader
-from jiti.episodes.folder_reader import MCAP_MAGIC, FolderReader
+from jiti.episodes.folder_reader import FolderReader
 from jiti.episodes.hub import find_dataset, is_repo_id
 from jiti.episodes.lerobot_info import INFO_PATH
 from jiti.episodes.lerobot_reader import LeRobotReader
+from jiti.episodes.mcap_reader import SUFFIX, McapReader
+from jiti.episodes.mcap_records import MAGIC
 from jiti.errors import SourceError
 
 FORMATS = (
@@ -44,10 +46,8 @@ def open_reader(source: str | Path | None = None) -> EpisodeReader:
 
 def _open_file(path: Path) -> EpisodeReader:
     with path.open("rb") as file:
-        head = file.read(len(MCAP_MAGIC))
-    if path.suffix == ".mcap" or head == MCAP_MAGIC:
-        from jiti.episodes.mcap_reader import McapReader
-
+        head = file.read(len(MAGIC))
+    if path.suffix == SUFFIX or head == MAGIC:
         return McapReader(path)
     dataset = next((folder for folder in path.absolute().parents if (folder / INFO_PATH).is_file()), None)
     if dataset is not None:
