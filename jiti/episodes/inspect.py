@@ -18,6 +18,7 @@ SHOWN_EPISODES = 30
 """Rows of the episode table in a terminal; the JSON has all. Our choice: about one screen."""
 
 SHOWN_PROBLEMS = 30
+SHOWN_STREAM_SETS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +110,7 @@ def print_report(report: SourceReport, console: "Console | None" = None, *, as_j
         console.print(_episode_table(report))
         if len(report.episodes) > SHOWN_EPISODES:
             console.print(Text(f"... and {len(report.episodes) - SHOWN_EPISODES} more episodes; --json lists all"))
-    for text, table in _stream_tables(report):
-        console.print()
-        if text:
-            console.print(Text(text))
-        console.print(table)
+    _print_streams(report, console)
     _print_problems(report, console)
 
 
@@ -172,31 +169,35 @@ def _episode_table(report: SourceReport) -> "Table":
     return table
 
 
-def _stream_tables(report: SourceReport) -> Iterator[tuple[str, "Table"]]:
+def _print_streams(report: SourceReport, console: "Console") -> None:
     """One table for each set of streams: those of its first episode, and how many have the same."""
+    from rich.text import Text
+
     groups: dict[Any, list[EpisodeReport]] = {}
     for episode in report.episodes:
         if episode.streams:
             key = tuple((s.name, s.kind, s.shape, s.encoding) for s in episode.streams)
             groups.setdefault(key, []).append(episode)
-    for group in sorted(groups.values(), key=len, reverse=True)[:3]:
-        same = f", and of {len(group) - 1} more" if len(group) > 1 else ""
-        text = f"Streams of {group[0].title}{same}" if len(report.episodes) > 1 else ""
-        yield text, _stream_table(group[0])
-    if len(groups) > 3:
-        yield f"... and {len(groups) - 3} more sets of streams; --json lists all", _table()
+    for group in sorted(groups.values(), key=len, reverse=True)[:SHOWN_STREAM_SETS]:
+        console.print()
+        if len(report.episodes) > 1:
+            same = f", and of {len(group) - 1} more" if len(group) > 1 else ""
+            console.print(Text(f"Streams of {group[0].title}{same}"))
+        console.print(_stream_table(group[0]))
+    if len(groups) > SHOWN_STREAM_SETS:
+        console.print(Text(f"\n... and {len(groups) - SHOWN_STREAM_SETS} more sets of streams; --json lists all"))
 
 
 def _stream_table(episode: EpisodeReport) -> "Table":
     from rich.text import Text
 
     table = _table()
-    table.add_column("stream", overflow="fold", ratio=1)
+    table.add_column("stream", overflow="fold")
     table.add_column("kind", no_wrap=True)
     for name in ("count", "Hz"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("shape", no_wrap=True)
-    table.add_column("encoding", overflow="fold", max_width=22)
+    table.add_column("encoding", overflow="fold")
     for stream in episode.streams:
         style = "dim" if stream.kind == "other" else "bold" if stream.name == episode.clock_reference else ""
         table.add_row(
