@@ -121,7 +121,7 @@ class McapEpisode:
         for stream in streams:
             if stream.kind == "other" or stream.name == self.clock.reference or len(stream.time_ns) < FEW_MESSAGES:
                 continue
-            tolerance = max(LATE_NS, LATE_PERIODS * int(np.median(np.diff(stream.time_ns))))
+            tolerance = max(LATE_NS, LATE_PERIODS * stream.period_ns)
             late = self.clock.late_frames(stream.time_ns, tolerance)
             if len(late):
                 problems.append(late_problem(f"{name}, {stream.name}", late, self.clock.frame_count, tolerance))

@@ -9,6 +9,7 @@ from mcap.records import Channel
 
 from jiti.episodes.clock import unwrap_together
 from jiti.episodes.episode import INTER_CODED, Stream, StreamKind
+from jiti.episodes.keyframes import is_key_frame
 from jiti.episodes.mcap_components import Components, text_in
 from jiti.episodes.mcap_contents import Contents, Rows
 from jiti.episodes.mcap_decode import Reading, reading_of
@@ -48,11 +49,16 @@ class McapStream:
 
     def describe(self) -> Stream:
         """As the episode lists it."""
-        steps = np.diff(self.time_ns)
-        period = float(np.median(steps)) if len(steps) else 0.0
-        rate = 1e9 / period if period > 0 else None
+        rate_hz = 1e9 / self.period_ns if self.period_ns else None
         count = len(self.time_ns)
-        return Stream(self.name, self.kind, count, rate, self.shape, self.encoding, self.schema, self.names)
+        return Stream(self.name, self.kind, count, rate_hz, self.shape, self.encoding, self.schema, self.names)
+
+    @property
+    def period_ns(self) -> int:
+        """Median time between messages that differ in time; 0 when there are no two."""
+        steps = np.diff(self.time_ns)
+        steps = steps[steps > 0]
+        return int(np.median(steps)) if len(steps) else 0
 
 
 def streams_of(contents: Contents) -> list[McapStream]:
@@ -183,9 +189,18 @@ class Sampler:
             except Undecodable as error:
                 reason = str(error)
                 continue
-            stream.kind = "depth" if picture.depth else "camera"
-            stream.encoding = picture.encoding
-            stream.shape = picture_shape(picture) or _video_shape(picture)
+            if stream.kind == "other":
+                stream.kind = "depth" if picture.depth else "camera"
+                stream.encoding = picture.encoding
+            stream.shape = picture_shape(picture)
+            if picture.encoding not in INTER_CODED:
+                return
+            if is_key_frame(picture.encoding, picture.data):
+                stream.shape = _video_shape(picture)
+                return
+            if not stream.notes:
+                stream.notes.append("it does not start with a key frame; what comes before the first cannot be shown")
+        if stream.kind != "other":
             return
         stream.notes.append(f"none of the pictures that were looked at can be used: {reason}")
 
@@ -243,7 +258,7 @@ def task_of(contents: Contents, streams: Sequence[McapStream]) -> str | None:
 
 
 def _video_shape(picture: Picture) -> tuple[int, ...]:
-    """Size of a video by decoding its first picture; () when it does not start with a key frame."""
+    """Size of a video by decoding a key frame; () when it does not decode."""
     from jiti.episodes.video_decode import SampleDecoder, UndecodablePicture
 
     decoder = SampleDecoder(picture.encoding)
