@@ -19,8 +19,9 @@ from jiti.episodes.reader import open_reader
 from jiti.errors import UsageError
 from jiti.runtime.sim.demo import demo
 from jiti.runtime.sim.gl import Graphics
-from jiti.runtime.sim.lift import LIFT
+from jiti.runtime.sim.lift import INSTRUCTION, TASK_FILE, TASK_ID
 from jiti.runtime.sim.record import jpeg, quaternion_xyzw, record_demo, recorded_metadata
+from jiti.tasks.catalogue import load_catalogue
 
 SEED = 7
 NOWHERE = Graphics(None, "not needed")
@@ -58,7 +59,7 @@ def test_every_step_is_a_frame_with_all_its_pictures_and_numbers(recorded):
     reader = open_reader(recorded)
     (ref,) = reader.episodes()
     episode = reader.open(ref.episode_id)
-    assert episode.task == "pick up the cube"
+    assert episode.task == INSTRUCTION
     assert not episode.problems
     steps = episode.clock.frame_count
     assert episode.clock.reference == "/camera/agentview"
@@ -103,16 +104,18 @@ def test_a_recording_that_is_stopped_leaves_no_file(graphics, tmp_path):
 
 @pytest.mark.sim
 def test_the_demo_proposes_a_window_for_each_constraint_and_a_second_run_changes_nothing(recorded):
+    task = load_catalogue(TASK_FILE).task(TASK_ID)
     summary = demo(recorded, seed=SEED)
     (e,) = summary.episodes
-    assert (e.proposals, e.lifted, len(e.cameras)) == (len(LIFT.itcs), True, 2)
+    assert (e.proposals, e.lifted, len(e.cameras)) == (len(task.itcs), True, 2)
     assert str(recorded / "pick_000.mcap") in str(summary)
+    assert summary.task_file.read_bytes() == TASK_FILE.read_bytes()
     rows = read_segments(summary.labels_dir).to_pylist()
     assert {(r["annotator"], r["status"], r["source"], r["reward"]) for r in rows} == {
         ("signal", "proposed", "signal", None)
     }
     assert {r["episode_id"] for r in rows} == {e.episode_id}
-    assert {r["itc_id"] for r in rows} == {itc.itc_id for itc in LIFT.itcs}
+    assert {r["itc_id"] for r in rows} == {itc.itc_id for itc in task.itcs}
     assert all(0 <= r["start_frame"] <= r["end_frame"] < e.frame_count for r in rows)
 
     again = demo(recorded, seed=SEED)
@@ -154,6 +157,13 @@ def test_another_recording_is_never_replaced(tmp_path):
 def test_another_seed_needs_another_folder(recorded):
     with pytest.raises(UsageError, match=rf"a recording with seed {SEED}.*Choose another folder for seed 1"):
         record_demo(recorded, seed=1, graphics=NOWHERE)
+
+
+def test_the_task_file_is_found_by_its_instruction_with_one_constraint_a_criterion():
+    task = load_catalogue(TASK_FILE).match(INSTRUCTION)
+    assert task is not None
+    assert task.task_id == TASK_ID
+    assert len({itc.criterion for itc in task.itcs}) == len(task.itcs) == 4
 
 
 def test_no_episode_is_no_demo(tmp_path):

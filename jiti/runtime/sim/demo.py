@@ -7,11 +7,13 @@ from jiti.annotate.labels import read_segments
 from jiti.annotate.proposals import write_proposals
 from jiti.annotate.segment_file import Recording
 from jiti.annotate.signals import ANNOTATOR, propose_segments
+from jiti.durable import write_atomic
 from jiti.episodes.episode import Episode
 from jiti.episodes.reader import open_reader
 from jiti.errors import LabelError, SourceError
-from jiti.runtime.sim.lift import LIFT
+from jiti.runtime.sim.lift import TASK_FILE
 from jiti.runtime.sim.record import Progress, record_demo, recorded_metadata
+from jiti.tasks.catalogue import load_catalogue
 
 DEMO_FOLDER = Path("jiti-demo")
 """In the current folder."""
@@ -36,6 +38,8 @@ class DemoSummary:
 
     folder: Path
     labels_dir: Path
+    task_file: Path
+    """The task that was recorded, in `folder`: what `--tasks` needs to know its constraints."""
     episodes: tuple[DemoEpisode, ...]
 
     def __str__(self) -> str:
@@ -44,7 +48,7 @@ class DemoSummary:
             f"cube {'lifted' if e.lifted else 'not lifted'}"
             for e in self.episodes
         ]
-        return "\n".join([*lines, f"proposals in {self.labels_dir}"])
+        return "\n".join([*lines, f"Proposals are in {self.labels_dir}, the task in {self.task_file}."])
 
 
 def demo(
@@ -52,11 +56,14 @@ def demo(
 ) -> DemoSummary:
     """Record scripted picks into `folder`, propose segments for them, and check that all of it reads back.
 
-    What is there already is kept: recordings with this seed, and what people decided about proposals. Raises
+    What is there already is kept: recordings with this seed, the task file, what people decided. Raises
     UsageError when the simulation cannot run here, SaveFailed when the disk refuses, SourceError or LabelError when
     something does not read back as it was written.
     """
     paths = record_demo(folder, episodes=episodes, seed=seed, progress=progress)
+    task_file = folder / "tasks.toml"
+    if not task_file.exists():
+        write_atomic(task_file, TASK_FILE.read_bytes())
     reader = open_reader(folder)
     labels_dir = Path(reader.labels_dir)
     by_path = {path.stem: path for path in paths}
@@ -68,14 +75,14 @@ def demo(
     if by_path:
         missing = ", ".join(str(path) for path in by_path.values())
         raise SourceError(f"{missing} was recorded but is not listed in {folder}. Delete the folder and run it again.")
-    return DemoSummary(folder, labels_dir, tuple(found))
+    return DemoSummary(folder, labels_dir, task_file, tuple(found))
 
 
 def _propose(path: Path, episode: Episode, labels_dir: Path) -> DemoEpisode:
     metadata = recorded_metadata(path)
     _check_counts(path, episode, int(metadata.get("steps", 0)))
     clock = episode.clock
-    proposals = propose_segments(episode, LIFT)
+    proposals = propose_segments(episode, load_catalogue(TASK_FILE).for_instruction(episode.task))
     recording = Recording(clock.frame_count, clock.rate_hz, episode.fingerprint)
     count = write_proposals(labels_dir, ANNOTATOR, episode.episode_id, proposals, recording)
     rows = read_segments(labels_dir, annotators=[ANNOTATOR], episodes=[episode.episode_id])

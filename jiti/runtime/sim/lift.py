@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -9,40 +10,10 @@ import numpy as np
 
 from jiti.runtime.sim.engine import global_seed, import_robosuite
 from jiti.runtime.sim.gl import Graphics
-from jiti.tasks.task import ITC, Criterion, Task
 
-LIFT = Task(
-    task_id="demo/lift",
-    instruction="pick up the cube",
-    itcs=(
-        ITC(
-            "demo/lift/closed-first",
-            "The arm rises only after both fingers hold the cube.",
-            Criterion.TASK_SEQUENCE_INTEGRITY,
-            "both fingers touch the cube in every frame in which the hand rises",
-        ),
-        ITC(
-            "demo/lift/centred",
-            "The fingers close on the middle of the cube.",
-            Criterion.TARGET_POSE_ACCURACY,
-            "at the grasp the fingers are within 5 mm of the cube's middle, along the faces they touch",
-        ),
-        ITC(
-            "demo/lift/flat",
-            "The fingers close flat on two faces of the cube, not on its edges.",
-            Criterion.POSE_ALIGNMENT,
-            "at the grasp the hand is turned by less than 5 degrees from the cube's faces",
-        ),
-        ITC(
-            "demo/lift/table-free",
-            "The hand never touches the table.",
-            Criterion.COLLISION_FREE_EXECUTION,
-            "no contact between the gripper and the table",
-        ),
-    ),
-    source="robosuite 1.4.0, Lift; constraints are our choice",
-)
-
+TASK_ID, INSTRUCTION = "demo/lift", "pick up the cube"
+TASK_FILE = Path(__file__).with_name("lift.toml")
+"""The task and its constraints, as a file for `--tasks`."""
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 PICTURE_SIZE = 256
 """Height and width in pixels, LIBERO's in the policies' training sets."""

@@ -21,8 +21,9 @@ from jiti.runtime.sim.lift import (
     CAMERAS,
     CONTROL_HZ,
     FINGER_JOINTS,
-    LIFT,
+    INSTRUCTION,
     PICTURE_SIZE,
+    TASK_ID,
     LiftScene,
     Observation,
 )
@@ -89,7 +90,7 @@ def _is_kept(path: Path, seed: int, number: int) -> bool:
     if not path.exists():
         return False
     found = recorded_metadata(path)
-    if (found.get("task"), found.get("seed"), found.get("episode")) != (LIFT.task_id, str(seed), str(number)):
+    if (found.get("task"), found.get("seed"), found.get("episode")) != (TASK_ID, str(seed), str(number)):
         what = f"a recording with seed {found['seed']}" if "seed" in found else "another recording"
         raise UsageError(
             f"{path} is {what}, and recordings are not replaced. "
@@ -105,7 +106,7 @@ def _record(path: Path, seed: int, number: int, graphics: Graphics, progress: Ca
     manner = draw_manner(random)
     script = ScriptedPick(manner, random)
     about = {
-        "task": LIFT.task_id,
+        "task": TASK_ID,
         "seed": str(seed),
         "episode": str(number),
         "manner": json.dumps(asdict(manner)),
@@ -113,7 +114,7 @@ def _record(path: Path, seed: int, number: int, graphics: Graphics, progress: Ca
     }
     with (
         LiftScene(graphics, seed=int(scene_seed.generate_state(1)[0])) as scene,
-        McapWriter(path, instruction=LIFT.instruction, metadata=about) as writer,
+        McapWriter(path, instruction=INSTRUCTION, metadata=about) as writer,
     ):
         count = 0
         while True:
