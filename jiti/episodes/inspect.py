@@ -1,6 +1,7 @@
 """What is in a source: episodes, streams, clocks, and the problems found."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -235,6 +236,7 @@ def _print_problems(report: SourceReport, console: "Console") -> None:
 
 
 def _encoding(stream: Stream) -> str:
-    """What a reader yields, and what the recording holds where that is something else."""
-    recorded = stream.schema.removeprefix("video/") if stream.schema.startswith("video/") else stream.encoding
-    return stream.encoding if recorded == stream.encoding else f"{stream.encoding} from {recorded}"
+    """What a reader yields, and what the recording holds where that is something else; of a schema its last name."""
+    if stream.schema.startswith("video/") and stream.schema != f"video/{stream.encoding}":
+        return f"{stream.encoding} from {stream.schema.removeprefix('video/')}"
+    return re.split(r"[/.]", stream.encoding)[-1]
