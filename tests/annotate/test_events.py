@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from jiti.annotate.channels import find_channels, words
 from jiti.annotate.events import Event, find_events, nearest_event, turning_points
+from jiti.episodes.reader import open_reader
 from tests.builders.numbers import Numbers, NumbersEpisode
 
 FRAMES = 200
@@ -204,3 +205,24 @@ def test_the_end_effector_is_preferred_to_joints_and_an_object_is_neither():
     assert [(c.role, c.stream, c.columns) for c in find_channels(episode.streams)] == [
         ("motion", "/eef_pose", (0, 1, 2))
     ]
+
+
+@pytest.mark.parametrize(
+    ("source", "episode_number", "close", "opened"),
+    [
+        ("mcap/g1_pick.mcap", 0, 188, 315),
+        ("lerobot/bimanual_v3", 0, 55, 263),
+        ("lerobot/bimanual_v3", 3, 43, 369),
+    ],
+)
+def test_hands_of_real_robots_grasp_and_release_where_their_plots_show_it(
+    shared, source, episode_number, close, opened
+):
+    reader = open_reader(shared / source)
+    episode = reader.open(reader.episodes()[episode_number].episode_id)
+    events = [e for e in find_events(episode) if e.kind.startswith("gripper")]
+    assert {e.side for e in events} == {"right"}
+    # Read off the plots of the finger joints; hands take ten frames to close.
+    assert min(abs(e.frame - close) for e in events if e.kind == "gripper_close") <= 5
+    assert min(abs(e.frame - opened) for e in events if e.kind == "gripper_open") <= 5
+    assert len(events) <= 3
