@@ -198,7 +198,7 @@ def test_edges_snap_to_the_gripper(serve, screen, tmp_path: Path) -> None:
     recording = write_mcap(tmp_path / "episode.mcap", duration_s=10)
     page = screen(serve("annotate", ".").url).ready()
     page.until(lambda: int(page.state["events"]) > 0, lambda: "events")
-    page.press("e")
+    page.press("e").until(lambda: page.state["frame"] != "0", lambda: "a jump")
     closes = (recording.gripper_closes_ns - recording.times_ns["/camera/front"][0]) / 1e9 * 30
     assert abs(int(page.state["frame"]) - closes) <= 15
     event = int(page.state["frame"])

@@ -44,15 +44,15 @@ def create_app(session: Session, *, token: str, port: int, routes: Sequence[Base
             *episode_routes(session),
             *label_routes(session),
             *keymap_routes(),
-            Mount("/static", _Cached(directory=STATIC)),
-            Mount("/rerun", _Cached(directory=rerun_viewer_dir())),
+            Mount("/static", CachedFiles(directory=STATIC)),
+            Mount("/rerun", CachedFiles(directory=rerun_viewer_dir())),
         ],
         middleware=[Middleware(Guard, token=token, port=port)],
         exception_handlers={JitiError: answer_error},
     )
 
 
-class _Cached(StaticFiles):
+class CachedFiles(StaticFiles):
     """Files that the browser may keep but must ask about, so that an upgrade shows at once."""
 
     def file_response(self, *args, **kwargs) -> Response:

@@ -36,7 +36,8 @@ export class Viewer {
       save_changes() {},
       off() {},
       on: (event, listener) => (this.#listeners[event] = listener),
-      send: (message) => (message === "ready" ? ready() : this.#heard(JSON.parse(message))),
+      // Events come while the viewer draws a frame, when it takes no calls: answer after it.
+      send: (message) => (message === "ready" ? ready() : setTimeout(() => this.#heard(JSON.parse(message)))),
     };
     for (const event of ["pointerdown", "pointermove", "pointerup"]) {
       element.addEventListener(event, (e) => (e.type !== "pointermove" || e.buttons) && (this.#touchedAt = performance.now()), true);
