@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from jiti.curate.verdicts import spans
+from jiti.curate.verdicts import Spans, spans
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,11 @@ def frame_rewards(segments: pa.Table, frame_counts: Mapping[str, int]) -> FrameR
     `segments` is a table of `read_segments`. An elegant frame satisfies every ITC, so its reward is the
     minimum over the ITCs that are decided there.
     """
-    found = spans(segments, frame_counts)
+    return rewards_of(spans(segments, frame_counts), frame_counts)
+
+
+def rewards_of(found: Spans, frame_counts: Mapping[str, int]) -> FrameRewards:
+    """As `frame_rewards`, from the spans of the same episodes."""
     offsets = np.concatenate([[0], np.cumsum(np.fromiter(frame_counts.values(), np.int64, len(frame_counts)))])
     first, stop = offsets[found.episode] + found.start, offsets[found.episode] + found.end + 1
     failed = found.verdict == 0

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from jiti.annotate.names import ADJUDICATED
+from jiti.curate.rows import codes
 
 RULE = (
     "accepted segments with a verdict; of one annotator and ITC the lower verdict; per ITC the rows of `adjudicated` "
@@ -56,8 +57,8 @@ def spans(segments: pa.Table, frame_counts: Mapping[str, int]) -> Spans:
     counts = np.fromiter(frame_counts.values(), np.int64, len(episode_ids))
     segments = segments.combine_chunks()
     episode = _places(segments["episode_id"], episode_ids)
-    itc_ids, itc = _codes(segments["itc_id"])
-    annotators, annotator = _codes(segments["annotator"])
+    itc_ids, itc = codes(segments["itc_id"])
+    annotators, annotator = codes(segments["annotator"])
     status = segments["status"].to_numpy()
     reward = segments["reward"].fill_null(-1).to_numpy()
     start, end = segments["start_frame"].to_numpy(), segments["end_frame"].to_numpy()
@@ -106,14 +107,8 @@ def _covered(first: np.ndarray, stop: np.ndarray, which: np.ndarray, edges: np.n
     return np.cumsum(begun - ended) > 0
 
 
-def _codes(column: pa.ChunkedArray) -> tuple[list[str], np.ndarray]:
-    """Distinct texts and the place of each row's among them."""
-    encoded = column.combine_chunks().dictionary_encode()
-    return encoded.dictionary.to_pylist(), encoded.indices.to_numpy().astype(np.int64)
-
-
 def _places(column: pa.ChunkedArray, known: list[str]) -> np.ndarray:
     """The place of each row's text in a list, -1 where it is not there."""
-    names, code = _codes(column)
+    names, code = codes(column)
     place = {name: number for number, name in enumerate(known)}
     return np.array([place.get(name, -1) for name in names], np.int64)[code]
