@@ -50,7 +50,8 @@ class Transcode(Iterator[ImageBatch]):
         for time_ns, picture in self._pictures():
             if self._encoder is None:
                 height = min(self.max_height, picture.height)
-                self._encoder = H264Encoder(round(picture.width * height / picture.height), height, self.rate_hz)
+                width = round(picture.width * height / picture.height)
+                self._encoder = H264Encoder(width, height, self.rate_hz, preset="ultrafast")
             times.append(time_ns)
             data.append(self._encoder.encode(picture))
             if len(data) == BATCH_FRAMES:

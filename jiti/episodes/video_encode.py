@@ -1,9 +1,11 @@
 """Encode pictures as H.264 samples that a browser can step through: no B-frames, a key frame every second."""
 
 from fractions import Fraction
-from typing import Any
+from typing import Any, Literal
 
 import av
+
+Preset = Literal["ultrafast", "superfast"]
 
 KEY_FRAME_PERIOD_S = 1.0
 """A seek decodes at most this much. Our choice: about what a person notices when scrubbing."""
@@ -25,8 +27,11 @@ _BT601, _RGB = 5, 0
 class H264Encoder:
     """One picture in, one Annex B sample out, at once. Not thread-safe."""
 
-    def __init__(self, width: int, height: int, rate_hz: float) -> None:
-        """Pictures are scaled to `width` x `height` pixels, rounded down to even numbers as 4:2:0 needs."""
+    def __init__(self, width: int, height: int, rate_hz: float, *, preset: Preset = "superfast") -> None:
+        """Pictures are scaled to `width` x `height` pixels, rounded down to even numbers as 4:2:0 needs.
+
+        `ultrafast` takes half the time of `superfast` for a third more bytes.
+        """
         self.width, self.height = max(2, width & ~1), max(2, height & ~1)
         rate = Fraction(rate_hz if rate_hz > 0 else 30.0).limit_denominator(1000)
         bits_a_second = int(MAX_BITS_A_PIXEL * self.width * self.height * rate) + 1
@@ -34,7 +39,7 @@ class H264Encoder:
         context.width, context.height, context.pix_fmt = self.width, self.height, "yuv420p"
         context.framerate, context.time_base = rate, 1 / rate
         context.options = {
-            "preset": "superfast",
+            "preset": preset,
             "tune": "zerolatency",
             "crf": str(QUALITY_CRF),
             "maxrate": str(bits_a_second),

@@ -455,6 +455,19 @@ def test_a_dataset_that_lerobot_wrote(tmp_path: Path, use_videos: bool) -> None:
             row += 1
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # lerobot's own, while it imports
+@pytest.mark.parametrize("code", [DepthCode(), DepthCode(use_log=False), DepthCode(0.2, 4.0, 1.5)])
+def test_depth_codes_are_lerobots(code: DepthCode) -> None:
+    depth_utils = pytest.importorskip(
+        "lerobot.datasets.depth_utils", reason="lerobot is not installed: pip install 'jiti[learn]'"
+    )
+    codes = np.arange(4096, dtype=np.uint16).reshape(64, 64)
+    settings = {"depth_min": code.min_m, "depth_max": code.max_m, "shift": code.shift_m, "use_log": code.use_log}
+    theirs = depth_utils.dequantize_depth(codes, **settings, output_tensor=False)
+    assert np.abs(theirs.reshape(-1).astype(int) - code.millimetres()).max() <= 1
+
+
 def _sent(episode: Episode) -> list[np.ndarray]:
     """All pictures of the front camera as a viewer gets them."""
     batches = [batch for batch in episode.read([FRONT]) if isinstance(batch, ImageBatch)]
