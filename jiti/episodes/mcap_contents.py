@@ -98,6 +98,13 @@ class ContentsBuilder:
         elif opcode == Opcode.HEADER:
             contents.profile = parse(Header, content).profile
 
+    def define_or_lose(self, opcode: int, content: bytes, where: str) -> None:
+        """Take a definition, or add it to the losses."""
+        try:
+            self.define(opcode, content)
+        except RecordDamaged as error:
+            self.contents.losses.append(Loss(where, f"is corrupt ({error})", {}))
+
     def _defined_twice(self, what: str, number: int) -> None:
         loss = Loss(f"{what} {number}", "is defined twice, differently; the first definition is used", {})
         if loss not in self.contents.losses:
@@ -123,7 +130,7 @@ class ContentsBuilder:
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 definitions.append((opcode, block[start:end]))
         for opcode, content in definitions:
-            self.define(opcode, content)
+            self.define_or_lose(opcode, content, f"a record in chunk {chunk.number + 1}")
         return {channel: np.array(numbers, "<u8").tobytes() for channel, numbers in entries.items()}
 
     def scan_all(self, chunks: list[Chunk]) -> None:

@@ -3,20 +3,24 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jiti.episodes.clock import Clock, fixed_rate
-from jiti.episodes.episode import Batch, Problem, Stream
+from jiti.episodes.episode import INTER_CODED, Batch, Problem, Stream
 from jiti.episodes.mcap_contents import Contents
 from jiti.episodes.mcap_decode import SUPPORTED
 from jiti.episodes.mcap_problems import chunk_losses, late_problem, loss_problems, read_problems, stream_problems
 from jiti.episodes.mcap_read import Fault, Faults, read_streams
-from jiti.episodes.mcap_records import MAGIC, McapFile, RecordDamaged, unpack
+from jiti.episodes.mcap_records import MAGIC, MAX_UNPACKED_BYTES, McapFile, RecordDamaged, unpack
 from jiti.episodes.mcap_scan import read_unindexed
 from jiti.episodes.mcap_streams import McapStream, Sampler, put_in_order, streams_of, task_of
 from jiti.episodes.mcap_summary import NoSummary, read_indexed
 from jiti.errors import SourceError
+
+if TYPE_CHECKING:
+    import av
 
 FINGERPRINT_BYTES = 1 << 20
 """The fingerprint covers so many bytes at either end. Our choice: header and first chunk, last chunk and summary."""
@@ -76,18 +80,40 @@ class McapEpisode:
     def _read(self, streams: Sequence[McapStream]) -> Iterator[Batch]:
         faults = Faults()
         try:
-            with McapFile(self.path) as file:
-                if file.stamp != self._stamp:
-                    raise SourceError(f"{self.path} changed since it was opened. Open it again.")
+            with self._opened() as file:
                 yield from read_streams(file, self._contents, streams, faults)
         finally:
             self._found(faults)
+
+    def decode(self, stream: str, frames: Sequence[int]) -> "Iterator[tuple[int, av.VideoFrame]] | None":
+        """Single pictures without a pass over the file; see `jiti.episodes.video.DecodesItself`.
+
+        None for video, whose pictures need those before them.
+        """
+        known = self.streams.get(stream)
+        if known is None or known.kind not in ("camera", "depth") or known.encoding in INTER_CODED:
+            return None
+        return self._decode(self._streams[stream], frames)
+
+    def _decode(self, stream: McapStream, frames: Sequence[int]) -> "Iterator[tuple[int, av.VideoFrame]]":
+        from jiti.episodes.mcap_frames import decode_stills
+
+        with self._opened() as file:
+            yield from decode_stills(file, self._contents, stream, self.clock, frames)
+
+    def _opened(self) -> McapFile:
+        """The file, which must be as it was when the episode was opened."""
+        file = McapFile(self.path)
+        if file.stamp != self._stamp:
+            file.close()
+            raise SourceError(f"{self.path} changed since it was opened. Open it again.")
+        return file
 
     def check(self) -> Sequence[Problem]:
         """Unpack every chunk once, so that `problems` names all that are corrupt; returns them."""
         faults = Faults()
         known = {loss.chunk for loss in self._contents.losses}
-        with McapFile(self.path) as file:
+        with self._opened() as file:
             for chunk in self._contents.chunks:
                 if chunk.number in known:
                     continue
@@ -123,6 +149,8 @@ class McapEpisode:
                 continue
             tolerance = max(LATE_NS, LATE_PERIODS * stream.period_ns)
             late = self.clock.late_frames(stream.time_ns, tolerance)
+            if stream.time_ns[0] - self.clock.frame_ns[0] <= tolerance:
+                late = late[self.clock.frame_ns[late] >= stream.time_ns[0]]  # no two streams start at one instant
             if len(late):
                 problems.append(late_problem(f"{name}, {stream.name}", late, self.clock.frame_count, tolerance))
         if all(stream.kind == "other" for stream in streams):
@@ -161,7 +189,8 @@ def _image_bytes(contents: Contents, streams: Sequence[McapStream]) -> int:
     cameras = [s for s in streams if s.reading.role == "picture" and len(s.rows.chunk)]
     if not cameras:
         return 0
-    ends = np.array([chunk.number << 32 | chunk.unpacked_size for chunk in contents.chunks], np.int64)
+    # A corrupt chunk can declare any size.
+    ends = np.array([c.number << 32 | min(c.unpacked_size, MAX_UNPACKED_BYTES) for c in contents.chunks], np.int64)
     every = np.sort(np.concatenate([ends, *(_places(s) for s in streams)]))
     return sum(int((every[np.searchsorted(every, _places(s), side="right")] - _places(s)).sum()) for s in cameras)
 

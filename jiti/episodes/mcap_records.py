@@ -90,6 +90,9 @@ class McapFile:
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
         os.close(self._descriptor)
 
     def read(self, offset: int, length: int) -> bytes:

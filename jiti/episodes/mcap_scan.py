@@ -114,10 +114,7 @@ def _following_index(file: McapFile, position: int) -> dict[int, bytes] | None:
 def _define(file: McapFile, builder: ContentsBuilder, opcode: int, position: int, length: int) -> None:
     if opcode not in _DEFINITIONS or length > MAX_METADATA_BYTES:
         return
-    try:
-        builder.define(opcode, file.read(position + RECORD.size, length))
-    except RecordDamaged as error:
-        builder.contents.losses.append(Loss(f"the record at byte {position}", f"is corrupt ({error})", {}))
+    builder.define_or_lose(opcode, file.read(position + RECORD.size, length), f"the record at byte {position}")
 
 
 def _is_known(opcode: int) -> bool:

@@ -71,7 +71,9 @@ def streams_of(contents: Contents) -> list[McapStream]:
     streams: dict[str, McapStream] = {}
     for channels in groups.values():
         first = channels[0]
-        name = first.topic if first.topic not in streams else f"{first.topic} (channel {first.id})"
+        name = first.topic
+        while name in streams:
+            name += f" (channel {first.id})"
         schema = contents.schemas.get(first.schema_id)
         rows = _merged([contents.rows[c.id] for c in channels if c.id in contents.rows])
         numbers = np.arange(len(rows.time_ns))

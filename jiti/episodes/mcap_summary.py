@@ -165,7 +165,8 @@ def _read_between(file: McapFile, summary: _Summary, builder: ContentsBuilder) -
 
 def _define(file: McapFile, builder: ContentsBuilder, opcode: int, position: int, length: int) -> None:
     if opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-        builder.define(opcode, file.read(position + RECORD.size, length))
+        content = file.read(position + RECORD.size, length)
+        builder.define_or_lose(opcode, content, f"the record at byte {position}")
 
 
 def _checked_place(file: McapFile, indexed: _Indexed) -> tuple[int, int]:

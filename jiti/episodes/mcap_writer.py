@@ -6,6 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
@@ -19,6 +20,8 @@ CHUNK_BYTES = 1 << 20
 """Unpacked size of a chunk. The mcap library's default; readers hold one at a time."""
 METADATA_NAME = "jiti"
 """Name of the metadata record that holds the instruction."""
+
+Numbers = Sequence[float] | np.ndarray
 
 
 class _Discarded(Exception):
@@ -87,10 +90,10 @@ class McapWriter:
         topic: str,
         time_ns: int,
         names: Sequence[str],
-        position: Sequence[float],
+        position: Numbers,
         *,
-        velocity: Sequence[float] | None = None,
-        effort: Sequence[float] | None = None,
+        velocity: Numbers | None = None,
+        effort: Numbers | None = None,
     ) -> None:
         """Joints by name, in radians or metres, as foxglove.JointStates."""
         parts = {"position": position, "velocity": velocity, "effort": effort}
@@ -101,7 +104,7 @@ class McapWriter:
         self._write(topic, time_ns, "foxglove.JointStates", joints=joints)
 
     def write_pose(
-        self, topic: str, time_ns: int, position_m: Sequence[float], orientation_xyzw: Sequence[float], *, frame_id: str
+        self, topic: str, time_ns: int, position_m: Numbers, orientation_xyzw: Numbers, *, frame_id: str
     ) -> None:
         """A pose in `frame_id`, as foxglove.PoseInFrame."""
         _same_length(topic, "xyz", "position_m", position_m)
@@ -112,7 +115,7 @@ class McapWriter:
         }
         self._write(topic, time_ns, "foxglove.PoseInFrame", frame_id=frame_id, pose=pose)
 
-    def write_vector(self, topic: str, time_ns: int, names: Sequence[str], values: Sequence[float]) -> None:
+    def write_vector(self, topic: str, time_ns: int, names: Sequence[str], values: Numbers) -> None:
         """Named numbers, such as an action, as jiti.NamedVector."""
         _same_length(topic, names, "values", values)
         self._write(topic, time_ns, "jiti.NamedVector", names=list(names), values=[float(v) for v in values])
@@ -182,6 +185,6 @@ class McapWriter:
             raise save_failed(self.path, error) from error
 
 
-def _same_length(topic: str, names: Sequence[str], what: str, values: Sequence[float]) -> None:
+def _same_length(topic: str, names: Sequence[str], what: str, values: Numbers) -> None:
     if len(values) != len(names):
         raise UsageError(f"{topic}: {what} has {len(values)} numbers for {len(names)} names: {', '.join(names)}.")

@@ -1,5 +1,6 @@
 """Recordings that are damaged, or are none: what can be read is read, and what is lost is said."""
 
+import itertools
 import struct
 import zlib
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.opcode import Opcode
+from mcap.writer import IndexType, Writer
 
 from jiti.episodes.episode import ImageBatch, NumericBatch
 from jiti.episodes.mcap_contents import Contents
@@ -449,7 +451,7 @@ def test_a_recording_cut_anywhere_gives_its_beginning_and_says_so(tmp_path: Path
     )  # fmt: skip
     data = written.path.read_bytes()
     best = 0
-    for cut in [*range(0, len(data), 97), len(data) - 1]:
+    for cut in [*range(0, len(data), 131), len(data) - 1]:
         (tmp_path / "cut.mcap").write_bytes(data[:cut])
         try:
             episode = opened(tmp_path / "cut.mcap")
@@ -524,6 +526,50 @@ def test_indexed_and_unindexed_contents_are_the_same(tmp_path: Path, layout: dic
     for channel, rows in by_summary.rows.items():
         for name in ("time_ns", "chunk", "offset"):
             assert (getattr(rows, name) == getattr(by_walk.rows[channel], name)).all()
+
+
+@pytest.mark.parametrize("use", list(itertools.product((True, False), repeat=3)))
+@pytest.mark.parametrize("index", [IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE, IndexType.ALL])
+def test_every_choice_of_the_librarys_writer(tmp_path: Path, index: IndexType, use: tuple[bool, bool, bool]) -> None:
+    repeat, statistics, crcs = use
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(
+            file,
+            chunk_size=500,
+            index_types=index,
+            repeat_channels=repeat,
+            repeat_schemas=repeat,
+            use_statistics=statistics,
+            use_summary_offsets=crcs,
+            enable_crcs=crcs,
+            enable_data_crcs=crcs,
+        )
+        writer.start()
+        schema = writer.register_schema("X", "jsonschema", b"{}")
+        for name in ("/a", "/b"):
+            writer.register_channel(name, "json", schema)
+        writer.add_metadata("m", {"task": "go"})
+        writer.add_attachment(0, 0, "a.txt", "text/plain", b"notes")
+        for k in range(100):
+            writer.add_message(k % 2 + 1, k, b'{"v": %d}' % k, k)
+        writer.finish()
+    episode = opened(tmp_path / "a.mcap")
+    assert whats(episode) == []
+    assert (counts(episode), episode.task) == ({"/a": 50, "/b": 50}, "go")
+    assert values_in(tmp_path / "a.mcap")
+
+
+def test_a_definition_that_cannot_be_read_costs_its_own_channel(tmp_path: Path) -> None:
+    bad = channel_record(2, "/bad").replace(b"/bad", b"\xff\xff\xff\xff")
+    both = chunk(channel_record() + bad + MESSAGES + message_record(5, 1, 2) + message_record(6, 2, 2))
+    (tmp_path / "a.mcap").write_bytes(handmade(both))
+    episode = opened(tmp_path / "a.mcap")
+    assert counts(episode) == {"/v": 20}
+    first, second = whats(episode)
+    assert first.startswith("a record in chunk 1 is corrupt (a Channel record cannot be read (")
+    assert second.startswith(
+        "channel 2 has messages, and what it is was lost with another part of the file: 2 messages"
+    )
 
 
 def test_files_without_an_index_are_walked_without_complaint(tmp_path: Path) -> None:

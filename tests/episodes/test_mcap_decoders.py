@@ -63,8 +63,8 @@ def ros_messages(draw: st.DrawFn, depth: int = 0) -> tuple[list[str], list[str],
     others: list[str] = []
     message: dict[str, Any] = {}
     for index in range(draw(st.integers(1, 5))):
-        kind = draw(st.sampled_from([*RANGES, "string", *(["inner"] if depth < 2 else [])]))
-        shape = draw(st.sampled_from(["one", "fixed", "sequence", "bounded"]))
+        kind: str = draw(st.sampled_from([*RANGES, "string", *(["inner"] if depth < 2 else [])]))
+        shape: str = draw(st.sampled_from(["one", "fixed", "sequence", "bounded"]))
         name = f"f{index}"
         if kind == "inner":
             inner, deeper, value = draw(ros_messages(depth + 1))

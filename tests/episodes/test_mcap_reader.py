@@ -117,6 +117,11 @@ def test_a_camera_that_starts_late_is_reported_with_its_frames(tmp_path: Path) -
     assert "at 30 of 60 frames (first 0, last 29) there is no message yet" in problem.what
 
 
+def test_a_stream_that_starts_a_moment_after_the_camera_is_not_late(tmp_path: Path) -> None:
+    cameras = {"/front": Camera(), "/late": Camera(start_s=0.4)}
+    assert list(opened(write_mcap(tmp_path / "a.mcap", cameras=cameras).path).problems) == []
+
+
 def test_a_stream_with_a_gap_is_reported_and_a_latched_one_is_not(tmp_path: Path) -> None:
     schema, data = mcap_messages.vector("json", [1.0, 2.0], 0)
     written = write_mcap(tmp_path / "pick.mcap", joint_topic=None, action_topic=None)
