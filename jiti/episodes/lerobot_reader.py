@@ -31,6 +31,7 @@ class LeRobotReader:
         """`title` is what messages call the dataset (default: the folder's name); `labels_dir` defaults to
         `<root>/meta/jiti`. Raises SourceError when `meta/` cannot be read.
         """
+        root = root.absolute()
         self.info = load_info(root, title)
         self._index = EpisodeIndex(self.info)
         self.title = f"{len(self._index.numbers)} episodes in {self.info.name}"

@@ -51,8 +51,8 @@ class V3Table:
         table = _joined(parts, self.place)
         self.numbers = _whole(table, "episode_index", self.place)
         self.lengths = _whole(table, "length", self.place)
-        named = "tasks" in table.column_names
-        self.tasks: Sequence[Any] = table["tasks"].to_pylist() if named else [None] * len(self.numbers)
+        tasks = table["tasks"].to_pylist() if "tasks" in table.column_names else [None] * len(self.numbers)
+        self.tasks: Sequence[Any] = [[task] if isinstance(task, str) else task for task in tasks]
 
     def entry(self, at: int) -> EpisodeEntry:
         number, length = int(self.numbers[at]), int(self.lengths[at])

@@ -49,6 +49,7 @@ def _through_read(episode: Episode, stream: str, wanted: list[int]) -> Iterator[
     """One pass over the stream that decodes only what leads to the wanted frames."""
     decoder = SampleDecoder("")
     held: list[tuple[int, bytes]] = []  # Samples since the last key frame that were not fed to the decoder.
+    held_bytes = 0
     waiting: dict[int, list[int]] = {}  # Wanted frames by the sample that shows them, until it is decoded.
 
     def feed(samples: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, av.VideoFrame]]:
@@ -68,15 +69,16 @@ def _through_read(episode: Episode, stream: str, wanted: list[int]) -> Iterator[
     for index, data, batch, frames in _samples_with_frames(episode, stream, wanted):
         if (batch.encoding, batch.raw) != (decoder.encoding, decoder.raw):
             yield from shown(decoder.flush())
-            decoder, held = SampleDecoder(batch.encoding, batch.raw), []
+            decoder, held, held_bytes = SampleDecoder(batch.encoding, batch.raw), [], 0
         if is_key_frame(batch.encoding, data) and held:
-            held = []
+            held, held_bytes = [], 0
             decoder.reset()
         held.append((index, data))
+        held_bytes += len(data)
         if frames:
             waiting[index] = frames
-        if waiting or (batch.encoding in INTER_CODED and sum(len(data) for _, data in held) > MAX_HELD_BYTES):
-            samples, held = held, []
+        if waiting or (batch.encoding in INTER_CODED and held_bytes > MAX_HELD_BYTES):
+            samples, held, held_bytes = held, [], 0
             yield from feed(samples)
     yield from shown(decoder.flush())
     for frames in waiting.values():

@@ -216,6 +216,14 @@ def test_the_task_is_found_by_its_number_when_the_episode_does_not_name_it(tmp_p
     assert [reader.open(ref.episode_id).task for ref in reader.episodes()] == ["pick", "place", "pick"]
 
 
+def test_a_task_may_be_a_text_instead_of_a_list(tmp_path: Path) -> None:
+    root = write_v3(tmp_path / "d", (2, 2))
+    write_episodes(root, [{**row, "tasks": "pick"} for row in read_episodes(root)])
+    assert [ref.task for ref in LeRobotReader(root).episodes()] == ["pick", "pick"]
+    write_episodes(root, [{**row, "tasks": ["pick", "place", "pick"]} for row in read_episodes(root)])
+    assert LeRobotReader(root).open("episode_000000").task == "pick; place"
+
+
 def test_the_fingerprint_changes_with_the_files(tmp_path: Path) -> None:
     root = write_v3(tmp_path / "d", LENGTHS, episodes_a_video=1)
     first = [LeRobotReader(root).open(f"episode_{e:06d}").fingerprint for e in range(3)]

@@ -56,7 +56,7 @@ def test_a_dataset_folder(here: Path, write: object) -> None:
     write_recording(root / "pick.mcap")
     reader = open_reader("cups")
     assert isinstance(reader, LeRobotReader)
-    assert reader.labels_dir == str(Path("cups") / "meta" / "jiti")
+    assert reader.labels_dir == str(here / "cups" / "meta" / "jiti")
 
 
 def test_a_path_in_the_home_folder(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -227,6 +227,15 @@ def test_a_picture_that_does_not_decode_names_its_stream_and_frame(encoding: str
         list(decode_frames(episode, CAMERA, [5, 6]))
 
 
+def test_a_long_stretch_without_key_frames_is_decoded_before_it_fills_the_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    data = encode_numbered(range(60), "h264", 64, 48, gop=1000)
+    monkeypatch.setattr("jiti.episodes.video.MAX_HELD_BYTES", sum(map(len, data)) // 4)
+    episode = CameraEpisode(data, "h264", at_30_hz(60))
+    assert [(f, read_number(p)) for f, p in decode_frames(episode, CAMERA, [58])] == [(58, 58)]
+
+
 def test_video_before_its_first_key_frame_cannot_be_shown() -> None:
     data = encode_numbered(range(20), "h264", 64, 48, gop=10)[5:]
     episode = CameraEpisode(data, "h264", at_30_hz(15))
