@@ -6,15 +6,18 @@ the temporal IoU and the boundary errors of matched segments, and Cohen's kappa 
 [1] J. Cohen, "A coefficient of agreement for nominal scales", 1960: kappa = (p_o - p_e) / (1 - p_e).
 """
 
+import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 
+from jiti.annotate.labels import read_labels
 from jiti.annotate.matching import Match, match
 from jiti.annotate.names import MACHINES
 from jiti.annotate.segment_file import to_segments
@@ -131,6 +134,25 @@ class Agreement:
             f"Only {self.a}: {one_sided[0]} episodes, only {self.b}: {one_sided[1]}; these are not compared."
         )
         return table
+
+
+def compare_labels(labels_dir: Path, a: str, b: str) -> Agreement:
+    """Compare two annotators of a labels folder. Raises LabelError like `compare`, or when a file cannot be read."""
+    labels = read_labels(labels_dir)
+    if labels.problems:
+        raise LabelError("; ".join(map(str, labels.problems[:3])))
+    counts = {episode_id: recording.frame_count for episode_id, recording in labels.by_episode().items()}
+    return compare(labels.segments, counts, a, b)
+
+
+def print_agreement(agreement: Agreement, *, as_json: bool = False) -> None:
+    """Say on standard output how well two annotators agree."""
+    if as_json:
+        print(json.dumps(agreement.to_json(), indent=2, ensure_ascii=False))
+        return
+    from rich.console import Console
+
+    Console(markup=False).print(agreement.to_table())
 
 
 def compare(segments: pa.Table, frame_counts: Mapping[str, int], a: str, b: str) -> Agreement:

@@ -1,9 +1,10 @@
 """The tasks that are known: the paper's, which come with the package, and a user's own files."""
 
+import json
 import re
 import unicodedata
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from difflib import get_close_matches
 from functools import cache
 from importlib.resources import as_file, files
@@ -93,6 +94,18 @@ def load_catalogue(*extra: Path) -> Catalogue:
             users[task_id] = defined
             ours.pop(task_id, None)
     return Catalogue(tuple(defined.task for defined in (*users.values(), *ours.values())))
+
+
+def print_catalogue(catalogue: Catalogue, *, as_json: bool = False) -> None:
+    """List tasks and their ITCs on standard output."""
+    if as_json:
+        print(json.dumps([asdict(task) for task in catalogue], indent=2, ensure_ascii=False))
+        return
+    for task in catalogue:
+        print(f"{task.task_id}  {task.instruction}")
+        for itc in task.itcs:
+            name = itc.itc_id.removeprefix(f"{task.task_id}/")
+            print(f"    {name} ({itc.criterion.replace('_', ' ')}): {itc.statement}")
 
 
 @cache

@@ -2,6 +2,7 @@
 
 import json
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,13 +10,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from jiti.annotate.agreement import Agreement, BoundaryError, cohens_kappa, compare
+from jiti.annotate.agreement import (
+    Agreement,
+    BoundaryError,
+    cohens_kappa,
+    compare,
+    compare_labels,
+    print_agreement,
+)
+from jiti.annotate.folder import segments_path
 from jiti.annotate.matching import assignment, match, temporal_iou
+from jiti.annotate.partition import Partition
 from jiti.annotate.segments import Segment
 from jiti.annotate.settling import differences, settle
 from jiti.curate.rewards import frame_rewards
 from jiti.errors import LabelError
-from tests.builders.labels import segment, table
+from tests.builders.labels import RECORDING, segment, table
 
 spans = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 12)), max_size=5)
 
@@ -201,6 +211,24 @@ def test_the_result_is_json_and_a_table() -> None:
     assert "t/hold" in text
     assert "0.80" in text
     assert "2.0 (+2.0)" in text
+
+
+def test_a_labels_folder_is_compared_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for annotator, end in (("anna", 9), ("bob", 19)):
+        Partition(tmp_path, annotator, "ep", RECORDING).apply("mark", [segment(0, end)], based_on=0)
+    found = compare_labels(tmp_path, "anna", "bob")
+    assert found.itcs[0].frames == ((280, 0, 10), (0, 0, 0), (0, 0, 10))
+    print_agreement(found, as_json=True)
+    assert json.loads(capsys.readouterr().out)["itcs"][0]["end_error"] == {
+        "mean": 10,
+        "mean_absolute": 10,
+        "median_absolute": 10,
+    }
+    print_agreement(found)
+    assert "anna and bob over 1 episodes" in capsys.readouterr().out
+    segments_path(tmp_path, "bob", "ep").write_bytes(b"junk")
+    with pytest.raises(LabelError, match=r"ep\.parquet cannot be read"):
+        compare_labels(tmp_path, "anna", "bob")
 
 
 def test_differences_by_kind_and_place() -> None:

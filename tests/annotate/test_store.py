@@ -1,10 +1,12 @@
 """Partitions: every acknowledged edit is there again, whatever happened in between."""
 
+import fcntl
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.dataset as ds
@@ -14,11 +16,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from jiti.annotate import lock
 from jiti.annotate.partition import Partition
 from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import SCHEMA, Segment
 from jiti.annotate.store import LabelStore
-from jiti.errors import LabelError, StaleWrite
+from jiti.errors import LabelError, SaveFailed, StaleWrite
 from tests.builders.labels import RECORDING, segment
 
 
@@ -211,6 +214,7 @@ def test_kill_at_any_moment_keeps_every_acknowledged_edit(tmp_path: Path) -> Non
 WRITER = """
 import sys
 from pathlib import Path
+from jiti.annotate import lock
 from jiti.annotate.partition import Partition
 from jiti.errors import StaleWrite
 from tests.builders.labels import RECORDING, segment
@@ -238,6 +242,35 @@ def test_writers_in_several_processes_lose_nothing(tmp_path: Path) -> None:
         (number, who) for number in range(25) for who in ("one", "two")
     )
     assert len(bob.segments) == 25
+
+
+def test_threads_that_share_a_store_lose_nothing(store: LabelStore) -> None:
+    def annotate(who: int) -> None:
+        for number in range(10):
+            row = segment(number, 100 + who)
+            while True:
+                partition = store.partition("anna", "ep", RECORDING)
+                try:
+                    partition.apply("mark", [row], based_on=partition.version)
+                    break
+                except StaleWrite:
+                    continue
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(annotate, range(4)))
+    assert reopened(store).version == 40
+    assert len({(s.start_frame, s.end_frame) for s in reopened(store).segments}) == 40
+
+
+def test_a_writer_that_is_stuck_is_told_of(store: LabelStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    partition = store.partition("anna", "ep", RECORDING)
+    partition.apply("mark", [segment()], based_on=0)
+    monkeypatch.setattr(lock, "PATIENCE_S", 0.1)
+    with (store.labels_dir / "history" / "annotator=anna" / "ep.jsonl").open("rb") as stuck:
+        fcntl.flock(stuck, fcntl.LOCK_EX)
+        with pytest.raises(SaveFailed, match=r"ep\.jsonl is locked by another process .*stopped `jiti annotate`"):
+            partition.apply("mark", [segment()], based_on=1)
+    assert partition.apply("mark", [segment()], based_on=1) == 2
 
 
 class Annotating(RuleBasedStateMachine):

@@ -1,5 +1,6 @@
 """The package's catalogue says what the paper says; instructions find their task."""
 
+import json
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jiti.errors import CatalogueError
-from jiti.tasks.catalogue import Catalogue, load_catalogue
+from jiti.tasks.catalogue import Catalogue, load_catalogue, print_catalogue
 from jiti.tasks.task import Criterion
 
 CATALOGUE = load_catalogue()
@@ -165,6 +166,18 @@ def test_two_files_cannot_define_one_task(tmp_path: Path) -> None:
         (tmp_path / name).write_text(USER.format(task_id="lab/bowl", more="replace = true"))
     with pytest.raises(CatalogueError, match=r"b\.toml, line 2: the task id 'lab/bowl' is taken by .*a\.toml, line 2"):
         load_catalogue(tmp_path / "a.toml", tmp_path / "b.toml")
+
+
+def test_the_listing_has_every_task_and_itc(capsys: pytest.CaptureFixture[str]) -> None:
+    print_catalogue(CATALOGUE, as_json=True)
+    listed = json.loads(capsys.readouterr().out)
+    assert [task["task_id"] for task in listed] == [task.task_id for task in CATALOGUE]
+    assert listed[2]["itcs"][0]["criterion"] == "target_pose_accuracy"
+    print_catalogue(CATALOGUE)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 54
+    assert lines[4] == "elegant/T2  put the bowl on the plate"
+    assert lines[5].startswith("    centered (target pose accuracy): The bowl must be placed precisely")
 
 
 def test_the_files_are_plain_toml_for_everyone() -> None:
