@@ -1,17 +1,24 @@
 """The `jiti` command. Each subcommand parses, imports what it needs, calls one function and prints."""
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from jiti.errors import JitiError, UsageError
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from jiti.annotate.web.session import Session
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    rich_markup_mode=None,  # Rich makes the help three times slower to appear
+    rich_markup_mode=None,  # with Rich the help takes five times as long to appear
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Label how robot demonstrations were done, and learn from those labels.",
@@ -22,16 +29,19 @@ Source = Annotated[
     typer.Argument(help="An MCAP file, a folder of them, a LeRobot folder or Hub id. Default: the current folder."),
 ]
 Tasks = Annotated[
-    list[Path] | None, typer.Option("--tasks", help="A TOML file with your own tasks and ITCs; may be repeated.")
+    list[Path] | None,
+    typer.Option("--tasks", help="A TOML file with your tasks and ITCs; may be repeated. Default: tasks.toml there."),
 ]
 Labels = Annotated[Path | None, typer.Option("--labels", help="Folder of the labels. Default: beside the recordings.")]
 Annotator = Annotated[str | None, typer.Option("--annotator", help="Who labels. Default: your login name.")]
-Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="Port on 127.0.0.1. Default: any free one.")]
+Port = Annotated[
+    int, typer.Option("--port", min=0, max=65535, show_default=False, help="Port on 127.0.0.1. Default: any free one.")
+]
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
 
 
-@app.command()
+@app.command(short_help="Mark segments and verdicts in a browser (ESA).")
 def annotate(
     source: Source = None,
     annotator: Annotator = None,
@@ -52,7 +62,7 @@ def annotate(
     serve(session, port=port, browser=not no_browser)
 
 
-@app.command("validate-rewards")
+@app.command("validate-rewards", short_help="Show rewards and returns, find mistakes (RVV).")
 def validate_rewards(
     source: Source = None,
     annotator: Annotator = None,
@@ -64,15 +74,12 @@ def validate_rewards(
         bool, typer.Option("--check", help="List mistakes in the terminal; exit code 1 when there are errors.")
     ] = False,
     agreement: Annotated[
-        tuple[str, str] | None,
-        typer.Option("--agreement", metavar="A B", help="Compare two annotators in the terminal."),
+        tuple[str, str] | None, typer.Option("--agreement", metavar="A B", help="Compare two annotators.")
     ] = None,
-    gamma: Annotated[
-        float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the Monte-Carlo return.")
-    ] = 0.98,
+    gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the return.")] = 0.98,
     as_json: Json = False,
 ) -> None:
-    """Show rewards and returns (RVV), find mistakes in labels.
+    """Open the Reward Validation Viewer (RVV), or check labels in the terminal.
 
     Example: jiti validate-rewards --check
     """
@@ -82,13 +89,20 @@ def validate_rewards(
         raise UsageError("--json needs --check or --agreement A B.")
     session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)
     if agreement:
-        from jiti.annotate.agreement import compare, print_agreement
+        from jiti.annotate.agreement import compare
+        from jiti.annotate.labels import read_labels
 
-        print_agreement(compare(session.store.labels_dir, *agreement), as_json=as_json)
+        labelled = read_labels(session.store.labels_dir)
+        frame_counts = {name: recording.frame_count for name, recording in labelled.by_episode().items()}
+        compared = compare(labelled.segments, frame_counts, *agreement)
+        _print_json(compared.to_json()) if as_json else _console().print(compared.to_table())
     elif check:
         from jiti.curate.validate import check_labels, print_check
 
-        raise typer.Exit(print_check(check_labels(session, gamma=gamma), as_json=as_json))
+        with _progress("Opening recordings") as progress:
+            found = check_labels(session, gamma=gamma, progress=progress)
+        _print_json(found.to_json()) if as_json else print_check(found, _console())
+        raise typer.Exit(1 if found.errors else 0)
     else:
         from jiti.annotate.web.serve import serve
         from jiti.curate.rvv import rvv_routes
@@ -97,29 +111,35 @@ def validate_rewards(
         serve(session, path=f"/rewards?gamma={gamma:g}", port=port, browser=not no_browser, routes=rvv_routes(session))
 
 
-@app.command()
+@app.command(short_help="List episodes, streams and problems.")
 def inspect(source: Source = None, as_json: Json = False) -> None:
     """List the episodes of a source, their streams, and what is wrong with them.
 
     Example: jiti inspect episode.mcap --json
     """
-    from jiti.episodes.inspect import inspect_source, print_report
+    from jiti.episodes.inspect import inspect_source, print_report, to_json
 
-    print_report(inspect_source(source), as_json=as_json)
+    with _progress("Reading") as progress:
+        report = inspect_source(source, progress=lambda done, total: progress(done / max(1, total), "Reading"))
+    _print_json(to_json(report)) if as_json else print_report(report, _console())
 
 
-@app.command()
+@app.command(short_help="List tasks and their constraints (ITCs).")
 def tasks(tasks: Tasks = None, as_json: Json = False) -> None:
     """List the tasks and their Implicit Task Constraints (ITCs).
 
     Example: jiti tasks --tasks mine.toml
     """
-    from jiti.tasks.catalogue import load_catalogue, print_catalogue
+    from dataclasses import asdict
 
-    print_catalogue(load_catalogue(*tasks or ()), as_json=as_json)
+    from jiti.tasks.catalogue import load_catalogue
+    from jiti.tasks.listing import print_tasks
+
+    catalogue = load_catalogue(*tasks or ())
+    _print_json([asdict(task) for task in catalogue]) if as_json else print_tasks(catalogue, _console())
 
 
-@app.command()
+@app.command(short_help="Record a scripted pick, then annotate it.")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder of the recordings.")] = Path("jiti-demo"),
     episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes to record.")] = 1,
@@ -134,12 +154,38 @@ def demo(
     """
     from jiti.runtime.sim.demo import demo as run_demo
 
-    run_demo(out, episodes=episodes, seed=seed)
+    with _progress("Recording") as progress:
+        summary = run_demo(out, episodes=episodes, seed=seed, progress=progress)
+    print(summary)
     if not headless:
         annotate(str(out), port=port, no_browser=no_browser)
 
 
-def _say_session(session) -> None:
+def _console() -> "Console":
+    from rich.console import Console
+
+    return Console(soft_wrap=not sys.stdout.isatty())
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
+    """A progress bar on a terminal, nothing elsewhere; called with the share that is done and what is being done."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda share, now: bar.update(task, completed=share, description=now)
+
+
+def _print_json(value: Any) -> None:
+    import json
+
+    print(json.dumps(value, indent=1, ensure_ascii=False))
+
+
+def _say_session(session: "Session") -> None:
     print(f"{session.reader.title}. Labels of {session.annotator} go to {session.store.labels_dir}.")
 
 

@@ -34,18 +34,19 @@ export class Differences {
     if (!a || !b || a === b) return;
     const answer = await call(`/api/rewards/differences?${new URLSearchParams({ a, b })}`);
     text("difference-count", `(${answer.differences.length})`);
-    const kappa = answer.itcs.map((i) => `${i.itc_id.split("/").at(-1)} κ ${i.kappa === null ? "–" : i.kappa.toFixed(2)}`).join(", ");
+    const kappa = answer.itcs.map((i) => `${i.itc_id.split("/").at(-1)} κ ${i.frame_kappa === null ? "–" : i.frame_kappa.toFixed(2)}`).join(", ");
+    const all = answer.itcs.at(-1); // the last row is all ITCs together
     const table = make("table", {}, make("tr", {}, ...["Where", "Frames", a, b, ""].map((head) => make("th", { textContent: head }))));
     for (const difference of answer.differences.slice(0, 200)) table.append(this.#row(difference, a, b));
     this.result.replaceChildren(
-      make("p", { className: "pick quiet", textContent: `Temporal IoU ${answer.mean_iou === null ? "–" : answer.mean_iou.toFixed(2)}, ${kappa}` }),
+      make("p", { className: "pick quiet", textContent: `Temporal IoU ${all?.mean_iou == null ? "–" : all.mean_iou.toFixed(2)}, ${kappa}` }),
       answer.differences.length ? table : make("p", { className: "none quiet", textContent: "No differences are left." }),
     );
   }
 
   #row(difference, a, b) {
     const settle = (side) => async () => {
-      await call("/api/rewards/settle", { a, b, side, episode_id: difference.episode_id, itc_id: difference.itc_id, start_frame: difference.start_frame, end_frame: difference.end_frame });
+      await call("/api/rewards/settle", { a, b, side, segment_id: (difference.a ?? difference.b).segment_id });
       await this.load();
       this.onSettled();
     };

@@ -18,6 +18,7 @@ let episode = null;
 let clock = new Clock([0]);
 let viewer = null;
 let lastVersion = null;
+let suspectTimer = 0;
 
 const map = new RewardMap($("map"), {
   onChoose: (row, share) => open(overview.episodes[row].episode_id, null, share),
@@ -43,9 +44,7 @@ async function refresh() {
   text("scale", `0 to ${overview.return_max.toPrecision(3)}`);
   drawMap();
   differences.annotators(overview.annotators);
-  const found = await call(`/api/rewards/suspects?gamma=${gamma}`);
-  suspects = found.suspects;
-  drawSuspects();
+  await readSuspects();
   if ($("order").value === "suspects") drawMap();
   if (episode) await readEpisode(episode.episode_id);
   describe();
@@ -64,6 +63,16 @@ function drawMap() {
   const key = rows.map(by);
   rows.sort((a, b) => (key[a] < key[b] ? -1 : key[a] > key[b] ? 1 : a - b));
   map.show({ bins: overview.bins, states: overview.stateBins, returns: overview.returnBins, order: rows });
+}
+
+// Trajectories are compared while the first answer is already shown.
+async function readSuspects() {
+  const found = await call(`/api/rewards/suspects?gamma=${gamma}`);
+  suspects = found.suspects;
+  drawSuspects();
+  clearTimeout(suspectTimer);
+  if (!found.complete) suspectTimer = setTimeout(readSuspects, 1500);
+  describe();
 }
 
 function drawSuspects() {
