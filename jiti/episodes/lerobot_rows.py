@@ -106,9 +106,7 @@ def to_floats(column: pa.Array, size: int) -> np.ndarray:
     if isinstance(column, pa.ExtensionArray):
         column = column.storage
     count, flat = len(column), column
-    while pa.types.is_list(flat.type) or pa.types.is_large_list(flat.type) or pa.types.is_fixed_size_list(flat.type):
-        if flat.null_count:
-            break
+    while _is_list(flat.type) and not flat.null_count and _same_lengths(flat):
         flat = flat.flatten()
     if len(flat) == count * size and not pa.types.is_nested(flat.type):
         values, valid = to_numpy(flat.cast(pa.float64(), safe=False))
@@ -124,9 +122,22 @@ def is_numeric(kind: pa.DataType) -> bool:
     """Whether a column holds numbers, or lists of them at any depth."""
     if isinstance(kind, pa.BaseExtensionType):
         kind = kind.storage_type
-    while pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+    while _is_list(kind):
         kind = kind.value_type
     return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+
+
+def _same_lengths(column: pa.Array) -> bool:
+    """Whether all lists have one length: lists that only sum up to the right size must not slip into each other."""
+    if pa.types.is_fixed_size_list(column.type):
+        return True
+    offsets, _ = to_numpy(column.offsets.cast(pa.int64()))
+    lengths = np.diff(offsets)
+    return not len(lengths) or bool((lengths == lengths[0]).all())
 
 
 def _flat(cell: object) -> Iterator[float]:
