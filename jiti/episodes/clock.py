@@ -104,7 +104,7 @@ def _jumps(time_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times without messages ahead of their time, indices of jumps, and what to add from each one on."""
     none = np.empty(0, np.int64)
     back = np.flatnonzero(np.diff(time_ns) < -JUMP_NS) + 1
-    if not len(back) or _out_of_order(time_ns):
+    if not len(back) or stretches_in_order(time_ns) is not None:
         return time_ns, none, none
     times, jumps = time_ns.copy(), []
     for index in back.tolist():
@@ -137,10 +137,19 @@ def _shift(time_ns: np.ndarray, jumps: np.ndarray, offsets: np.ndarray) -> np.nd
     return time_ns + added[np.searchsorted(jumps, np.arange(len(time_ns)), side="right")]
 
 
-def _out_of_order(time_ns: np.ndarray) -> bool:
-    """Whether the stretches between steps fill one span of time without overlap: one clock, recorded out of order."""
+def stretches_in_order(time_ns: np.ndarray) -> np.ndarray | None:
+    """Indices (N,) that bring stretches which were recorded out of order in order of time, each left as it is.
+
+    None where there are none: where steps over `JUMP_NS` do not part the times into stretches that fill one span
+    without overlap or gap.
+    """
     starts = np.concatenate([[0], np.flatnonzero(np.abs(np.diff(time_ns)) > JUMP_NS) + 1])
+    if len(starts) < 2:
+        return None
     first, last = np.minimum.reduceat(time_ns, starts), np.maximum.reduceat(time_ns, starts)
     order = np.argsort(first, kind="stable")
     gaps = first[order][1:] - last[order][:-1]
-    return bool((gaps >= 0).all() and (gaps <= JUMP_NS).all())
+    if (gaps < 0).any() or (gaps > JUMP_NS).any():
+        return None
+    parts = np.split(np.arange(len(time_ns)), starts[1:])
+    return np.concatenate([parts[k] for k in order])

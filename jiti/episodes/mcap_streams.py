@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from mcap.records import Channel
 
-from jiti.episodes.clock import unwrap_together
+from jiti.episodes.clock import stretches_in_order, unwrap_together
 from jiti.episodes.episode import INTER_CODED, Stream, StreamKind
 from jiti.episodes.keyframes import is_key_frame
 from jiti.episodes.mcap_components import Components, text_in
@@ -108,8 +108,8 @@ def _picked(rows: Rows, order: np.ndarray) -> Rows:
 def put_in_order(streams: Sequence[McapStream]) -> None:
     """Undo clock jumps in all streams and put their messages in order of time, with a note on each stream changed.
 
-    Video stays in recording order, in which alone it decodes: a picture stamped earlier than the one before it
-    gets that one's time.
+    Video stays in recording order, in which alone it decodes: a picture stamped earlier than one before it gets that
+    one's time.
     """
     positions = [s.rows.chunk.astype(np.int64) << 32 | s.rows.offset for s in streams]
     unwrapped = unwrap_together([s.rows.time_ns for s in streams], positions)
@@ -123,23 +123,34 @@ def put_in_order(streams: Sequence[McapStream]) -> None:
         if (steps >= 0).all():
             stream.time_ns = time_ns
             continue
-        count, most_s = int((steps < 0).sum()), -int(steps.min()) / 1e9
-        if stream.encoding in INTER_CODED and most_s * 1e9 <= _SHUFFLED_NS:
-            stream.time_ns = np.maximum.accumulate(time_ns)
-            stream.notes.append(
-                f"{count} of its pictures are stamped earlier than the one before, by up to {most_s:.3f} s; "
-                "they are shown at the time of that one"
-            )
+        if stream.encoding in INTER_CODED:
+            _put_video_in_order(stream, time_ns)
             continue
-        order = np.argsort(time_ns, kind="stable")
-        stream.rows, stream.time_ns, stream.number = _picked(stream.rows, order), time_ns[order], order
+        count, most_s = int((steps < 0).sum()), -int(steps.min()) / 1e9
+        _reorder(stream, time_ns, np.argsort(time_ns, kind="stable"))
         stream.notes.append(
             f"its messages are out of order in {count} places, by up to {most_s:.3f} s; they are given in order of time"
         )
 
 
-_SHUFFLED_NS = 500_000_000
-"""Video with steps back by more than `clock.JUMP_NS` that are no jumps was recorded in chunks out of order."""
+def _reorder(stream: McapStream, time_ns: np.ndarray, order: np.ndarray) -> None:
+    stream.rows, stream.time_ns, stream.number = _picked(stream.rows, order), time_ns[order], stream.number[order]
+
+
+def _put_video_in_order(stream: McapStream, time_ns: np.ndarray) -> None:
+    """Whole stretches may change places; inside of one, pictures need those that were recorded before them."""
+    order = stretches_in_order(time_ns)
+    if order is not None:
+        _reorder(stream, time_ns, order)
+        stream.notes.append("its pictures are recorded in stretches that are out of order; these are put in order")
+        time_ns = stream.time_ns
+    stream.time_ns = np.maximum.accumulate(time_ns)
+    moved_ns = stream.time_ns - time_ns
+    if moved_ns.any():
+        stream.notes.append(
+            f"{int((moved_ns > 0).sum())} of its pictures are stamped earlier than one before, by up to "
+            f"{int(moved_ns.max()) / 1e9:.3f} s; they are shown at the time of the latest before them"
+        )
 
 
 class Sampler:

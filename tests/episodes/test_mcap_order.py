@@ -107,7 +107,30 @@ def test_video_stays_in_recording_order(tmp_path: Path) -> None:
     assert data == pictures
     assert found == [*times[:21], times[20], *times[22:]]
     (problem,) = episode.problems
-    assert "1 of its pictures are stamped earlier than the one before, by up to 0.033 s" in problem.what
+    assert "1 of its pictures are stamped earlier than one before, by up to 0.033 s" in problem.what
+
+
+def test_a_video_picture_that_is_very_late_stays_where_it_decodes(tmp_path: Path) -> None:
+    pictures = encode_numbered(range(60), "h264", 64, 48)
+    times = frames(60)
+    times[40] = times[10] + 1
+    messages = [picture("/cam", t, data, "h264") for t, data in zip(times, pictures, strict=True)]
+    write_messages(tmp_path / "a.mcap", {"/cam": VIDEO}, messages, chunk_size=1000)
+    assert all_of(McapEpisode(tmp_path / "a.mcap", "a"), "/cam") == ([*times[:40], times[39], *times[41:]], pictures)
+
+
+def test_stretches_of_video_out_of_order_are_put_in_order_and_left_as_they_are(tmp_path: Path) -> None:
+    pictures = encode_numbered(range(120), "h264", 64, 48, gop=30)
+    times = frames(120)
+    times[70], times[71] = times[71], times[70]
+    every = [picture("/cam", t, data, "h264") for t, data in zip(times, pictures, strict=True)]
+    messages = [*every[60:90], *every[:60], *every[90:]]
+    write_messages(tmp_path / "a.mcap", {"/cam": VIDEO}, messages, chunk_size=1000)
+    episode = McapEpisode(tmp_path / "a.mcap", "a")
+    assert all_of(episode, "/cam") == ([*times[:71], times[70], *times[72:]], pictures)
+    first, second = (p.what for p in episode.problems)
+    assert first.startswith("its pictures are recorded in stretches that are out of order")
+    assert "are shown at the time of the latest before them" in second
 
 
 @pytest.mark.parametrize("image", ["jpeg", "h264"])
