@@ -72,7 +72,8 @@ def fox_schema(kind: type) -> Schema:
 def vector_class() -> tuple[Schema, type]:
     """A protobuf message that no library ships: `Vector { repeated double values = 1; }`."""
     file = FileDescriptorProto(name="tests/Vector.proto", package="tests", syntax="proto3")
-    field = FieldDescriptorProto(name="values", number=1, type=FieldDescriptorProto.TYPE_DOUBLE, label=FieldDescriptorProto.LABEL_REPEATED)
+    repeated, double = FieldDescriptorProto.LABEL_REPEATED, FieldDescriptorProto.TYPE_DOUBLE
+    field = FieldDescriptorProto(name="values", number=1, type=double, label=repeated)
     file.message_type.append(DescriptorProto(name="Vector", field=[field]))
     pool = DescriptorPool()
     pool.Add(file)
