@@ -4,15 +4,13 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from jiti.errors import JitiError, UsageError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from jiti.annotate.web.session import Session
 
 app = typer.Typer(
@@ -89,19 +87,15 @@ def validate_rewards(
         raise UsageError("--json needs --check or --agreement A B.")
     session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)
     if agreement:
-        from jiti.annotate.agreement import compare
-        from jiti.annotate.labels import read_labels
+        from jiti.annotate.agreement import compare_labels, print_agreement
 
-        labelled = read_labels(session.store.labels_dir)
-        frame_counts = {name: recording.frame_count for name, recording in labelled.by_episode().items()}
-        compared = compare(labelled.segments, frame_counts, *agreement)
-        _print_json(compared.to_json()) if as_json else _console().print(compared.to_table())
+        print_agreement(compare_labels(session.store.labels_dir, *agreement), as_json=as_json)
     elif check:
         from jiti.curate.validate import check_labels, print_check
 
         with _progress("Opening recordings") as progress:
             found = check_labels(session, gamma=gamma, progress=progress)
-        _print_json(found.to_json()) if as_json else print_check(found, _console())
+        print_check(found, as_json=as_json)
         raise typer.Exit(1 if found.errors else 0)
     else:
         from jiti.annotate.web.serve import serve
@@ -117,11 +111,11 @@ def inspect(source: Source = None, as_json: Json = False) -> None:
 
     Example: jiti inspect episode.mcap --json
     """
-    from jiti.episodes.inspect import inspect_source, print_report, to_json
+    from jiti.episodes.inspect import inspect_source, print_report
 
     with _progress("Reading") as progress:
         report = inspect_source(source, progress=lambda done, total: progress(done / max(1, total), "Reading"))
-    _print_json(to_json(report)) if as_json else print_report(report, _console())
+    print_report(report, as_json=as_json)
 
 
 @app.command(short_help="List tasks and their constraints (ITCs).")
@@ -130,13 +124,9 @@ def tasks(tasks: Tasks = None, as_json: Json = False) -> None:
 
     Example: jiti tasks --tasks mine.toml
     """
-    from dataclasses import asdict
+    from jiti.tasks.catalogue import load_catalogue, print_catalogue
 
-    from jiti.tasks.catalogue import load_catalogue
-    from jiti.tasks.listing import print_tasks
-
-    catalogue = load_catalogue(*tasks or ())
-    _print_json([asdict(task) for task in catalogue]) if as_json else print_tasks(catalogue, _console())
+    print_catalogue(load_catalogue(*tasks or ()), as_json=as_json)
 
 
 @app.command(short_help="Record a scripted pick, then annotate it.")
@@ -161,12 +151,6 @@ def demo(
         annotate(str(out), port=port, no_browser=no_browser)
 
 
-def _console() -> "Console":
-    from rich.console import Console
-
-    return Console(soft_wrap=not sys.stdout.isatty())
-
-
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
     """A progress bar on a terminal, nothing elsewhere; called with the share that is done and what is being done."""
@@ -177,12 +161,6 @@ def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda share, now: bar.update(task, completed=share, description=now)
-
-
-def _print_json(value: Any) -> None:
-    import json
-
-    print(json.dumps(value, indent=1, ensure_ascii=False))
 
 
 def _say_session(session: "Session") -> None:

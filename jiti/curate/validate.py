@@ -1,8 +1,9 @@
 """Labels against their recordings: what `jiti validate-rewards --check` lists and the viewer ranks."""
 
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,6 @@ from jiti.curate.checks import find_suspects
 from jiti.curate.suspects import Suspect
 from jiti.episodes.episode import numbers
 from jiti.errors import SourceError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 KEPT_POINTS = 64
 """Rows kept of a trajectory: twice what `near_identical` compares."""
@@ -109,27 +107,25 @@ def check_labels(
     return Check(session.reader.title, len(session.refs()), len(known), accepted, tuple(suspects))
 
 
-def print_check(check: Check, console: "Console") -> None:
-    """One line a suspect, the worst first, and a last line with the totals."""
+def print_check(check: Check, *, as_json: bool = False) -> None:
+    """One line a suspect on standard output, the worst first, and a last line with the totals; or JSON."""
+    if as_json:
+        print(json.dumps(check.to_json(), indent=2, ensure_ascii=False))
+        return
+    from rich.console import Console
+
+    console = Console(highlight=False)
     console.print(
         f"{check.title}: {check.labelled} of {check.episodes} episodes labelled, {check.segments} segments.",
         highlight=False,
     )
     for suspect in check.suspects[:SHOWN]:
         colour = "red" if suspect.severity == "error" else "yellow"
-        place = ", ".join(filter(None, _place(suspect).values()))
+        frame = f"frame {suspect.start_frame}" if suspect.episode_id else ""
+        place = ", ".join(filter(None, (suspect.episode_id, frame, suspect.annotator, suspect.itc_id)))
         console.print(f"[{colour}]{suspect.severity:<8}[/] [bold]{suspect.kind.replace('_', ' ')}[/]", end=" ")
         console.print(f"{place}: {suspect.message}. {suspect.remedy}", markup=False, highlight=False, soft_wrap=True)
     if len(check.suspects) > SHOWN:
         console.print(f"... and {len(check.suspects) - SHOWN} more; --json lists all.")
     warnings = len(check.suspects) - check.errors
     console.print(f"{check.errors} errors, {warnings} warnings." if check.suspects else "Nothing looks wrong.")
-
-
-def _place(suspect: Suspect) -> Mapping[str, str]:
-    return {
-        "episode": suspect.episode_id,
-        "frame": f"frame {suspect.start_frame}" if suspect.episode_id else "",
-        "annotator": suspect.annotator,
-        "itc": suspect.itc_id,
-    }
