@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -46,6 +46,7 @@ def test_temporal_iou_counts_both_ends(a: tuple[int, int], b: tuple[int, int], i
     assert temporal_iou(segment(*a), segment(*b)) == temporal_iou(segment(*b), segment(*a)) == pytest.approx(iou)
 
 
+@settings(deadline=None)
 @given(st.integers(1, 5), st.integers(1, 5), st.data())
 def test_assignment_is_the_best_of_all(rows: int, columns: int, data: st.DataObject) -> None:
     cells = st.lists(st.integers(0, 6), min_size=rows * columns, max_size=rows * columns)
@@ -69,6 +70,7 @@ def test_matching_takes_the_best_total_not_the_best_pair() -> None:
     assert only_a == only_b == []
 
 
+@settings(deadline=None)
 @given(spans, spans)
 def test_every_segment_is_matched_once_or_left(a: list[tuple[int, int]], b: list[tuple[int, int]]) -> None:
     left, right = segments(a), segments(b)
@@ -93,6 +95,7 @@ def test_cohens_kappa_by_hand() -> None:
     assert cohens_kappa(np.zeros((3, 3), int)) is None
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=1, max_size=60))
 def test_cohens_kappa_from_the_choices_themselves(choices: list[tuple[int, int]]) -> None:
     counts = np.zeros((3, 3), int)

@@ -4,7 +4,7 @@ import zlib
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.annotate.history import Entry, Gap, Header, entry_line, header_line, scan
@@ -44,6 +44,7 @@ def test_every_kind_of_entry_reads_back() -> None:
     assert found.gap is None
 
 
+@settings(deadline=None)
 @given(st.integers(0, len(b"".join(LINES))))
 def test_cut_anywhere_keeps_the_whole_lines(size: int) -> None:
     data = b"".join(LINES)[:size]
@@ -55,6 +56,7 @@ def test_cut_anywhere_keeps_the_whole_lines(size: int) -> None:
     assert found.gap is None
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_one_wrong_byte_is_a_gap_or_the_torn_end(data: st.DataObject) -> None:
     whole = b"".join(LINES)

@@ -3,7 +3,7 @@
 import getpass
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.annotate.names import check_annotator, check_name, default_annotator, file_stem
@@ -43,6 +43,7 @@ def test_unusable_names_are_answered_with_what_to_do(name: str, message: str) ->
         check_annotator(name)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30))
 def test_whatever_the_login_is_the_default_is_usable(login: str) -> None:
     with pytest.MonkeyPatch.context() as patch:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.annotate.folder import labels_version, segments_path
@@ -43,6 +43,7 @@ def test_the_queue_asks_first_what_changes_most() -> None:
     assert pending(rows, [undecided.segment_id, silent.segment_id, None]) == [later, short, sure]
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50), st.none() | st.integers(0, 1), st.floats(0, 1))))
 def test_the_queue_is_ordered_and_whole(shapes: list[tuple[int, int, int | None, float]]) -> None:
     rows = [proposal(start, start + more, reward, confidence=sure) for start, more, reward, sure in shapes]

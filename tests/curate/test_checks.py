@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.annotate.labels import Labels, read_labels
@@ -88,6 +88,7 @@ def test_the_last_frame_is_inside_and_a_shorter_recording_is_noticed() -> None:
     assert [s.kind for s in found(*rows, recordings=shorter)] == ["outside_episode"]
 
 
+@settings(deadline=None)
 @given(st.integers(1, 2 * CHUNK_FRAMES))
 def test_a_segment_shorter_than_the_chunk(frames: int) -> None:
     suspects = found(("anna", segment(50, 49 + frames, 1)), *good())
@@ -97,6 +98,7 @@ def test_a_segment_shorter_than_the_chunk(frames: int) -> None:
         assert suspects[0].start_frame == 50
 
 
+@settings(deadline=None)
 @given(st.integers(-30, 20), st.booleans(), st.booleans())
 def test_verdicts_that_flip_or_contradict(gap: int, first_passes: bool, longer_before: bool) -> None:
     first, second = segment(100, 129, int(first_passes)), segment(130 + gap, 170 + gap, 1 - first_passes)
@@ -238,6 +240,7 @@ rows = st.lists(
 )
 
 
+@settings(deadline=None)
 @given(rows)
 def test_any_labels_are_checked_in_the_same_way_in_any_order(rows: list[tuple[str, Segment]]) -> None:
     suspects = found(*rows)

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.curate.returns import GAMMA, mc_returns
@@ -48,6 +48,7 @@ def test_lengths_around_the_block_size(lengths: list[int], gamma: float) -> None
     assert mc_returns(reward, offsets, gamma) == pytest.approx(naive(reward, offsets, gamma), rel=1e-12, abs=1e-300)
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.lists(st.floats(-1, 1), max_size=40) | st.integers(0, 900), max_size=8),
     st.floats(0, 1),

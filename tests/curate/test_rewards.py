@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.annotate.segments import SCHEMA, Segment
@@ -142,6 +142,7 @@ def modelled(rows: list[tuple[str, Segment]], episode: str, frame: int) -> int |
     return min(verdicts) if verdicts else None
 
 
+@settings(deadline=None)
 @given(rows)
 def test_every_frame_is_as_the_rule_says(rows: list[tuple[str, Segment]]) -> None:
     counts = {"b": 10, "a": 15}
@@ -151,6 +152,7 @@ def test_every_frame_is_as_the_rule_says(rows: list[tuple[str, Segment]]) -> Non
     assert found.reward.tolist() == [verdict or 0 for verdict in expected]
 
 
+@settings(deadline=None)
 @given(rows)
 def test_spans_are_in_order_apart_and_inside_the_episode(rows: list[tuple[str, Segment]]) -> None:
     found = spans(table(*rows), {"b": 10, "a": 15})

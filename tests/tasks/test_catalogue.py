@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.errors import CatalogueError
@@ -109,6 +109,7 @@ def test_other_instructions_find_none(instruction: str | None) -> None:
     assert CATALOGUE.match(instruction) is None
 
 
+@settings(deadline=None)
 @given(st.none() | st.text())
 def test_every_episode_can_be_labelled(instruction: str | None) -> None:
     task = CATALOGUE.for_instruction(instruction)

@@ -3,7 +3,7 @@
 import tomllib
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jiti.tasks.toml_lines import KeyPath, line_numbers, line_of
@@ -99,6 +99,7 @@ values = st.sampled_from(
 """Values that try to look like something else."""
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.lists(values, max_size=4)), max_size=8))
 def test_any_document_agrees_with_where_it_was_written(parts: list[tuple[int, bool, list[str]]]) -> None:
     text = ""
