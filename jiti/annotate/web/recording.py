@@ -89,6 +89,9 @@ def stream_recording(
             times = reference.place(batch.time_ns)
         else:
             times = batch.time_ns - episode.clock.frame_ns[0]
+            # What came before the first frame holds at it; a latched message may stand at 1970. Video needs its order.
+            if not (isinstance(batch, ImageBatch) and batch.encoding in INTER_CODED):
+                times = np.maximum(times, 0)
         _log_batch(recording, episode.streams[batch.stream], batch, times)
         if on_progress and batch.stream == (episode.clock.reference or batch.stream) and len(times):
             on_progress(int(np.searchsorted(episode.clock.display_ns, times[-1])))
