@@ -1,7 +1,5 @@
 """Labels for the page: an annotator's rows on an episode, edits, undo and redo, decisions on proposals."""
 
-import time
-from dataclasses import replace
 from typing import Any
 
 from starlette.requests import Request
@@ -58,7 +56,6 @@ def label_routes(session: Session) -> list[Route]:
             row = edit(proposal, reward=body.get("reward", proposal.reward))
         else:
             raise LabelError(f"decision is {decision!r}; it must be accept, edit or reject.")
-        row = replace(row, created_at=time.time_ns(), updated_at=time.time_ns())
         partition.apply(f"{decision} proposal", [row], [], based_on=take(body, "based_on", int))
         return {**rows(session, episode_id), "segment_id": row.segment_id}
 
@@ -103,7 +100,6 @@ def row_of(fields: Any, mine: dict[str, Segment], episode_id: str, clock: Clock,
         criteria.setdefault(itc_id, old.criterion)
     if itc_id not in criteria:
         raise LabelError(f"{task.task_id} has no ITC {itc_id!r}; it has: {', '.join(criteria)}.")
-    now = time.time_ns()
     given = {"reward": fields.get("reward"), "rationale": take(fields, "rationale", str, None)}
     return Segment(
         segment_id=old.segment_id if old else take(fields, "segment_id", str, None) or new_segment_id(),
@@ -118,7 +114,5 @@ def row_of(fields: Any, mine: dict[str, Segment], episode_id: str, clock: Clock,
         source="human",
         confidence=None,
         parent_id=old.parent_id if old else None,
-        created_at=old.created_at if old else now,
-        updated_at=now,
         **given,
     )

@@ -24,6 +24,8 @@ VIEWER_BYTES = 1 << 30
 """Pictures that the viewer is given as they are. Our choice: half of the 2 GB that its 32-bit memory surely has."""
 LIGHT_HEIGHT = 360
 """Picture height of a copy of a recording that is too large. Our choice: one of two views on a 1280x720 screen."""
+TASKS_FILE = "tasks.toml"
+"""A user's tasks beside the recordings, read when no `--tasks` is given."""
 PLAYABLE_HEIGHT = 1080
 """Picture height of a copy that is made only because browsers do not play the codec."""
 
@@ -95,9 +97,11 @@ def open_session(
 ) -> Session:
     """What `jiti annotate` and `jiti validate-rewards` work on. Raises JitiError when any part is wrong."""
     reader = open_reader(source)
+    beside = Path(reader.labels_dir).parent / TASKS_FILE
+    files = list(tasks or ()) or ([beside] if beside.is_file() else [])
     return Session(
         reader=reader,
         store=LabelStore(labels or Path(reader.labels_dir)),
-        catalogue=load_catalogue(*tasks or ()),
+        catalogue=load_catalogue(*files),
         annotator=check_annotator(annotator) if annotator else default_annotator(),
     )

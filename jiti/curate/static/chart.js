@@ -40,10 +40,14 @@ export class Chart {
     const top = Math.max(1e-9, ...this.data.mc_return);
     const y = (value) => bottom - (value / top) * (bottom - TOP);
     g.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-    for (const segment of this.data.segments) {
-      g.fillStyle = colour(segment.status !== "accepted" ? "ghost-soft" : { 1: "pass-soft", 0: "fail-soft", null: "open-soft" }[segment.reward]);
+    // Accepted segments as areas, the narrower over the wider; proposals, which give no reward, as a thin line on top.
+    const wide = this.data.segments.filter((s) => s.status !== "rejected").toSorted((a, b) => b.end_frame - b.start_frame - a.end_frame + a.start_frame);
+    for (const segment of wide) {
       const x = this.#x(segment.start_frame);
-      g.fillRect(x, TOP, this.#x(segment.end_frame + 1) - x, bottom - TOP);
+      const width = this.#x(segment.end_frame + 1) - x;
+      const accepted = segment.status === "accepted";
+      g.fillStyle = colour(accepted ? { 1: "pass-soft", 0: "fail-soft", null: "open-soft" }[segment.reward] : "ghost");
+      g.fillRect(x, TOP, width, accepted ? bottom - TOP : 2);
     }
     g.fillStyle = colour("quiet");
     g.fillText(top.toPrecision(3), 2, TOP + 4);

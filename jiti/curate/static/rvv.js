@@ -84,7 +84,7 @@ function drawSuspects() {
       "li",
       { data: { kind: suspect.kind, episode: suspect.episode_id } },
       make("span", { className: suspect.severity, textContent: suspect.severity }),
-      make("span", { className: "what" }, make("span", { className: "kind", textContent: `${suspect.kind.replaceAll("_", " ")} ` }), suspect.message, make("span", { className: "quiet", textContent: ` ${suspect.remedy}` })),
+      make("span", { className: "what" }, make("span", { className: "kind", textContent: `${suspect.kind.replaceAll("_", " ")} ` }), make("span", { textContent: `${where(suspect)}: ` }), suspect.message + ".", make("span", { className: "quiet", textContent: ` ${suspect.remedy}` })),
       make("span", {}, look, " ", suspect.episode_id ? link : null),
     );
     return item;
@@ -92,6 +92,10 @@ function drawSuspects() {
   if (!rows.length) rows.push(make("li", { className: "none quiet", textContent: "Nothing looks wrong." }));
   if (suspects.length > 300) rows.push(make("li", { className: "none quiet", textContent: `… and ${suspects.length - 300} more: jiti validate-rewards --check lists all.` }));
   $("suspects").replaceChildren(...rows);
+}
+
+function where({ episode_id, annotator, itc_id }) {
+  return [episode_id, itc_id.split("/").at(-1), annotator].filter(Boolean).join(" · ");
 }
 
 function esaLink({ episode_id, start_frame, segment_id }) {

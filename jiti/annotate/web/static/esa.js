@@ -26,7 +26,14 @@ let looping = false;
 let events = [];
 let lastVersion = null;
 
-const lanes = () => episode?.task.itcs ?? [];
+// The task's ITCs, then those that someone labelled although the task does not have them (any more).
+const lanes = () => {
+  const own = episode?.task.itcs ?? [];
+  const known = new Set(own.map((itc) => itc.itc_id));
+  const others = [...labels.segments, ...labels.proposals].filter((s) => !known.has(s.itc_id));
+  const extra = [...new Map(others.map((s) => [s.itc_id, { itc_id: s.itc_id, statement: "Not in the catalogue: pass --tasks FILE.", criterion: s.criterion, check: "" }])).values()];
+  return [...own, ...extra];
+};
 const current = () => labels.segments.find((s) => s.segment_id === selected);
 
 // ---- parts ----
