@@ -166,6 +166,14 @@ def test_the_task_file_is_found_by_its_instruction_with_one_constraint_a_criteri
     assert len({itc.criterion for itc in task.itcs}) == len(task.itcs) == 4
 
 
+@pytest.mark.parametrize("package", ["mujoco", "robosuite"])
+def test_without_the_simulator_the_message_says_what_to_install(tmp_path, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)  # Python's own way to say that there is none
+    with pytest.raises(UsageError, match=rf"{package}, which simulates .* pip install 'jiti\[sim\]'"):
+        record_demo(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_episode_is_no_demo(tmp_path):
     with pytest.raises(UsageError, match="give 1 or more"):
         record_demo(tmp_path, episodes=0)

@@ -28,10 +28,7 @@ def import_robosuite(graphics: Graphics) -> ModuleType:
     os.environ["MUJOCO_GL"] = graphics.backend or "disable"
     if "robosuite" in sys.modules:
         return sys.modules["robosuite"]
-    spec = importlib.util.find_spec("robosuite")
-    if spec is None or spec.origin is None:
-        raise UsageError("robosuite, which simulates the robot, is not installed. Run: pip install 'jiti[sim]'")
-    _set_macros(Path(spec.origin).with_name("macros.py"))
+    _set_macros(find_robosuite() / "macros.py")
     # Without a handler of its own, Python would print what robosuite logs.
     logging.getLogger("robosuite_logs").addHandler(logging.NullHandler())
     try:
@@ -44,6 +41,15 @@ def import_robosuite(graphics: Graphics) -> ModuleType:
             f"robosuite cannot be imported: {error}. On Debian, `apt-get install libgl1 libegl1 libglib2.0-0` installs "
             "the libraries that it and OpenCV need; `pip install 'jiti[sim]'` the Python packages."
         ) from error
+
+
+def find_robosuite() -> Path:
+    """Its folder, without importing it. Raises UsageError when it or MuJoCo is not installed."""
+    for package in ("mujoco", "robosuite"):
+        spec = importlib.util.find_spec(package)
+        if spec is None or spec.origin is None:
+            raise UsageError(f"{package}, which simulates the robot, is not installed. Run: pip install 'jiti[sim]'")
+    return Path(spec.origin).parent
 
 
 def _set_macros(file: Path) -> None:

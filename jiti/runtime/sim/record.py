@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 
 from jiti.episodes.mcap_writer import METADATA_NAME, McapWriter
 from jiti.errors import UsageError
+from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.lift import (
     ACTION_NAMES,
@@ -60,15 +61,16 @@ def record_demo(
     paths = [folder / f"pick_{number:03d}.mcap" for number in range(episodes)]
     missing = [number for number, path in enumerate(paths) if not _is_kept(path, seed, number)]
     if missing:
+        find_robosuite()
         graphics = graphics or find_graphics()
         report(0.0, graphics.message)
-    for done, number in enumerate(missing):
+        for done, number in enumerate(missing):
 
-        def step(count: int, done: int = done, number: int = number) -> None:
-            share = (done + min(count / TYPICAL_STEPS, 1.0)) / len(missing)
-            report(share, f"recording {paths[number].name}")
+            def step(count: int, done: int = done, number: int = number) -> None:
+                share = (done + min(count / TYPICAL_STEPS, 1.0)) / len(missing)
+                report(share, f"recording {paths[number].name}")
 
-        _record(paths[number], seed, number, graphics or find_graphics(), step)
+            _record(paths[number], seed, number, graphics, step)
     report(1.0, f"{len(missing)} recorded, {episodes - len(missing)} kept")
     return paths
 
