@@ -6,7 +6,7 @@ stream: a reader unwraps clock jumps and says so in `Episode.problems`.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -130,6 +130,15 @@ class Episode(Protocol):
         is not there, listing those that are. A picture or message that cannot be decoded is left
         out and recorded in `problems`.
         """
+        ...
+
+
+@runtime_checkable
+class ChecksItself(Protocol):
+    """An episode that finds damage which opening it does not show."""
+
+    def check(self) -> Sequence[Problem]:
+        """Read everything once; gives all problems, those known before included."""
         ...
 
 

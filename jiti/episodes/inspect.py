@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jiti.episodes.episode import Episode, EpisodeReader, EpisodeRef, Problem, Stream
+from jiti.episodes.episode import ChecksItself, Episode, EpisodeReader, EpisodeRef, Problem, Stream
 from jiti.episodes.reader import open_reader
 from jiti.errors import SourceError
 
@@ -117,6 +117,7 @@ def print_report(report: SourceReport, console: "Console | None" = None, *, as_j
 
 def _opened(ref: EpisodeRef, episode: Episode) -> EpisodeReport:
     clock = episode.clock
+    problems = episode.check() if isinstance(episode, ChecksItself) else episode.problems
     return EpisodeReport(
         episode_id=ref.episode_id,
         title=ref.title,
@@ -127,7 +128,7 @@ def _opened(ref: EpisodeRef, episode: Episode) -> EpisodeReport:
         rate_hz=clock.rate_hz,
         fingerprint=episode.fingerprint,
         streams=tuple(episode.streams.values()),
-        problems=tuple(episode.problems),
+        problems=tuple(problems),
     )
 
 

@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 import uvicorn
 from starlette.routing import BaseRoute
 
+from jiti.annotate import segment_file
+from jiti.annotate.web import recording
 from jiti.annotate.web.app import create_app
-from jiti.annotate.web.recording import warm
 from jiti.annotate.web.security import new_token
 from jiti.annotate.web.session import Session
 from jiti.errors import UsageError
@@ -49,8 +50,14 @@ def serve(
     say(f"Open {url}")
     say("Stop with Ctrl+C. Everything is saved as you go.")
     sys.stdout.flush()
-    threading.Thread(target=warm, name="warm", daemon=True).start()
+    threading.Thread(target=_warm, name="warm", daemon=True).start()
     if browser:
         threading.Timer(0.3, webbrowser.open, (url,)).start()
     config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
     uvicorn.Server(config).run(sockets=[listener])
+
+
+def _warm() -> None:
+    """Do once, while the browser starts, what makes a first recording and a first save slow: two seconds each."""
+    recording.warm()
+    segment_file.encode((), segment_file.FileInfo())
