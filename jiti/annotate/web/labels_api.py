@@ -44,7 +44,7 @@ def label_routes(session: Session) -> list[Route]:
     def decide(request: Request, body: dict) -> dict[str, Any]:
         episode_id, segment_id = request.path_params["episode_id"], request.path_params["segment_id"]
         partition = session.partition(episode_id)
-        proposals = {p.segment_id: p for p in waiting(session.store.labels_dir, session.annotator, episode_id)}
+        proposals = {p.segment_id: p for p in waiting(session.store.labels_dir, partition)}
         if segment_id not in proposals:
             raise LabelError(f"no proposal {segment_id} waits for {session.annotator} in {episode_id}.")
         decision, proposal = take(body, "decision", str), proposals[segment_id]
@@ -75,7 +75,7 @@ def rows(session: Session, episode_id: str) -> dict[str, Any]:
     return {
         "version": partition.version,
         "segments": [s.to_row() for s in partition.segments],
-        "proposals": [p.to_row() for p in waiting(session.store.labels_dir, session.annotator, episode_id)],
+        "proposals": [p.to_row() for p in waiting(session.store.labels_dir, partition)],
         "can_undo": partition.can_undo,
         "can_redo": partition.can_redo,
     }

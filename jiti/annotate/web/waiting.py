@@ -3,11 +3,17 @@
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
+import pyarrow as pa
+
+from jiti.annotate.folder import annotator_dirs
 from jiti.annotate.labels import read_labels
 from jiti.annotate.names import MACHINES
-from jiti.annotate.proposals import expected_change, queue
+from jiti.annotate.partition import Partition
+from jiti.annotate.proposals import expected_change, pending, queue
+from jiti.annotate.segment_file import to_segments
 from jiti.annotate.segments import Segment
 
 
@@ -37,7 +43,21 @@ def progress(labels_dir: Path, annotator: str) -> Mapping[str, Progress]:
     return found
 
 
-def waiting(labels_dir: Path, annotator: str, episode_id: str) -> list[Segment]:
-    """Proposals of one episode that the annotator has not decided, the most to be gained first."""
-    table = read_labels(labels_dir, annotators=[annotator, *MACHINES], episodes=[episode_id]).segments
-    return queue(table, annotator)
+def waiting(labels_dir: Path, partition: Partition) -> list[Segment]:
+    """Proposals of an episode that its annotator has not decided, the most to be gained first. Raises LabelError."""
+    table = _proposed(labels_dir, _machines_version(labels_dir))
+    here = table.filter(pa.array(table["episode_id"].to_numpy() == partition.episode_id))
+    return pending(to_segments(here), [segment.parent_id for segment in partition.segments])
+
+
+def _machines_version(labels_dir: Path) -> tuple[tuple[str, int, int], ...]:
+    """Changes when a machine's labels do, as `labels_version`; what people save does not matter here."""
+    folders = [(name, folder.stat()) for name, folder in annotator_dirs(labels_dir) if name in MACHINES]
+    return tuple((name, status.st_mtime_ns, status.st_ino) for name, status in folders)
+
+
+@lru_cache(maxsize=2)
+def _proposed(labels_dir: Path, _version: object) -> pa.Table:
+    """All proposals, kept until the version changes: every save asks for them, and machines write seldom."""
+    table = read_labels(labels_dir, annotators=MACHINES).segments
+    return table.filter(pa.array(table["status"].to_numpy() == "proposed"))
