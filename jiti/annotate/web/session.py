@@ -99,9 +99,16 @@ def open_session(
     reader = open_reader(source)
     beside = Path(reader.labels_dir).parent / TASKS_FILE
     files = list(tasks or ()) or ([beside] if beside.is_file() else [])
-    return Session(
+    session = Session(
         reader=reader,
         store=LabelStore(labels or Path(reader.labels_dir)),
         catalogue=load_catalogue(*files),
         annotator=check_annotator(annotator) if annotator else default_annotator(),
     )
+    refs = session.refs()
+    readable = [ref for ref in refs if ref.problem is None]
+    if not readable and refs:
+        raise SourceError(str(refs[0].problem))
+    if len(refs) == 1:
+        session.episode(refs[0].episode_id)  # a file alone is refused at once, and not in the page
+    return session

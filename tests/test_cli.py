@@ -1,0 +1,227 @@
+"""The command line: light to start, help with an example, and one clear message with an exit code for bad input."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jiti.annotate.segment_file import Recording
+from jiti.annotate.segments import Segment, new_segment_id
+from jiti.annotate.store import LabelStore
+from jiti.cli import app
+from tests.builders.lerobot import H264, write_v3
+from tests.builders.mcap import Camera, write_mcap
+
+COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """`jiti ARGS` in a process of its own, in the test's folder, with caches and settings of its own."""
+    for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.setenv(variable, str(tmp_path / ".home"))
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*args: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "jiti", *args]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+
+    return run
+
+
+def refused(done: subprocess.CompletedProcess[str], *said: str) -> None:
+    """One message on standard error, no traceback, exit code 1."""
+    assert done.returncode == 1, done
+    assert done.stderr.startswith("jiti: ")
+    assert "Traceback" not in done.stderr
+    for text in said:
+        assert text in done.stderr
+
+
+def problems(done: subprocess.CompletedProcess[str]) -> str:
+    """Everything that `jiti inspect --json` found wrong, of a source that opened all the same."""
+    assert done.returncode == 0, done
+    report = json.loads(done.stdout)
+    return json.dumps([report["problems"], [e["problems"] for e in report["episodes"]]])
+
+
+def test_the_command_line_loads_nothing_heavy() -> None:
+    heavy = "torch mujoco rerun lerobot robosuite cv2 numpy pyarrow av starlette uvicorn rich.console"
+    code = f"import sys, jiti.cli; print([m for m in {heavy.split()} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example_and_is_in_the_readme(run: Run, command: str) -> None:
+    done = run(command, "--help")
+    assert done.returncode == 0
+    assert f"Example: jiti {command}" in done.stdout
+    assert f"jiti {command}" in (Path(__file__).parents[1] / "README.md").read_text()
+
+
+def test_a_truncated_recording_opens_with_what_is_missing(run: Run, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "episode.mcap", duration_s=4, chunk_size=20_000).path
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    found = problems(run("inspect", "episode.mcap", "--json"))
+    assert "episode.mcap" in found
+    assert "cut" in found or "ends" in found
+    frames = json.loads(run("inspect", "episode.mcap", "--json").stdout)["episodes"][0]["frame_count"]
+    assert 20 < frames < 120
+
+
+def test_a_corrupt_chunk_is_named_with_what_it_held(run: Run, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "episode.mcap", duration_s=4, chunk_size=20_000, compression="none").path
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    found = problems(run("inspect", "episode.mcap", "--json"))
+    assert "chunk" in found
+    assert "CRC" in found
+
+
+def test_an_unknown_encoding_is_listed_with_what_is_supported(run: Run, tmp_path: Path) -> None:
+    from tests.builders.mcap import Channel, Message, write_messages
+
+    channels = {"/odd": Channel(None, "flatbuffer")}
+    write_messages(tmp_path / "episode.mcap", channels, [Message("/odd", k * 10**8, b"\0" * 8) for k in range(30)])
+    done = run("inspect", "episode.mcap", "--json")
+    text = done.stdout + done.stderr
+    assert "flatbuffer" in text
+    assert "protobuf" in text.lower()
+
+
+def test_pictures_that_do_not_decode_are_counted(run: Run, tmp_path: Path) -> None:
+    from tests.builders import mcap_messages
+    from tests.builders.mcap import Channel, Message, write_messages
+
+    made = [mcap_messages.picture("protobuf", "jpeg", 320, 240, k, b"no picture") for k in range(3)]
+    channels = {"/camera": Channel(made[0][0], made[0][0].message_encoding)}
+    write_messages(
+        tmp_path / "episode.mcap", channels, [Message("/camera", k * 10**8, m[1]) for k, m in enumerate(made)]
+    )
+    done = run("inspect", "episode.mcap", "--json")
+    assert "/camera" in done.stdout + done.stderr
+    assert "jpeg" in (done.stdout + done.stderr).lower()
+
+
+def test_without_a_camera_frames_run_at_a_fixed_rate(run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", cameras={}, duration_s=2)
+    episode = json.loads(run("inspect", "episode.mcap", "--json").stdout)["episodes"][0]
+    assert episode["clock_reference"] is None
+    assert episode["rate_hz"] == pytest.approx(30)
+    assert abs(episode["frame_count"] - 60) <= 1
+
+
+def test_a_clock_that_jumps_back_is_named(run: Run, tmp_path: Path) -> None:
+    times = [k / 30 for k in range(60)] + [k / 30 - 3 for k in range(60, 120)]
+    from tests.builders import mcap_messages
+    from tests.builders.encode import encode_numbered
+    from tests.builders.mcap import START_NS, Channel, Message, write_messages
+
+    pictures = encode_numbered(range(120), "jpeg", 64, 48)
+    stamps = [START_NS + round(t * 1e9) for t in times]
+    made = [
+        mcap_messages.picture("protobuf", "jpeg", 64, 48, stamp, data)
+        for stamp, data in zip(stamps, pictures, strict=True)
+    ]
+    channels = {"/camera": Channel(made[0][0], made[0][0].message_encoding)}
+    messages = [Message("/camera", stamp, m[1]) for stamp, m in zip(stamps, made, strict=True)]
+    write_messages(tmp_path / "episode.mcap", channels, messages)
+    done = run("inspect", "episode.mcap", "--json")
+    assert "/camera" in problems(done)
+    assert "back" in problems(done)
+    assert json.loads(done.stdout)["episodes"][0]["frame_count"] == 120
+
+
+@pytest.mark.parametrize("args", [["annotate"], ["validate-rewards", "--check"]], ids=lambda args: args[0])
+@pytest.mark.parametrize(("content", "said"), [(b"", "empty"), (b"hello, this is a text\n" * 20, "MCAP")])
+def test_a_file_that_is_no_recording_is_refused(
+    run: Run, tmp_path: Path, args: list[str], content: bytes, said: str
+) -> None:
+    (tmp_path / "episode.mcap").write_bytes(content)
+    refused(run(*args, "episode.mcap"), "episode.mcap", said)
+    assert said in problems(run("inspect", "episode.mcap", "--json"))
+
+
+def test_a_folder_of_good_and_bad_files_opens_the_good_ones(run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "good.mcap", duration_s=1)
+    (tmp_path / "bad.mcap").write_bytes(b"no")
+    done = run("inspect", "--json")
+    assert "bad.mcap" in problems(done)
+    rows = {e["title"]: e["frame_count"] for e in json.loads(done.stdout)["episodes"]}
+    assert rows["good.mcap"] == 30
+
+
+def test_a_folder_without_recordings_says_what_it_looked_for(run: Run) -> None:
+    refused(run("annotate"), "MCAP", "LeRobot")
+    refused(run("annotate", "nowhere"), "nowhere")
+
+
+def test_a_missing_lerobot_video_is_named_and_the_rest_opens(run: Run, tmp_path: Path) -> None:
+    root = write_v3(tmp_path / "dataset", (10, 10), encoder=H264)
+    shutil.rmtree(root / "videos")
+    found = problems(run("inspect", "dataset", "--json"))
+    assert "videos/" in found
+    assert ".mp4" in found
+
+
+def label(folder: Path) -> Path:
+    """Segments of `episode` by `ada`; gives the Parquet file."""
+    partition = LabelStore(folder / "labels").partition("ada", "episode", Recording(30, 30.0, "x"))
+    row = Segment(new_segment_id(), "episode", "generic/pose_alignment", "pose_alignment", 2, 20, 2, 20, 1)
+    partition.apply("mark", [row], based_on=0)
+    return folder / "labels" / "segments" / "annotator=ada" / "episode.parquet"
+
+
+def test_labels_of_a_newer_version_are_refused_and_kept(run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=1)
+    path = label(tmp_path)
+    table = pq.read_table(path, partitioning=None)
+    about = json.loads(table.schema.metadata[b"jiti"])
+    about["schema_version"] = 99
+    pq.write_table(pa.table(table).replace_schema_metadata({b"jiti": json.dumps(about).encode()}), path)
+    before = path.read_bytes()
+    refused(run("validate-rewards", "--check"), "episode.parquet", "99", "pip install")
+    assert path.read_bytes() == before
+
+
+def test_the_check_fails_a_script_when_labels_are_wrong(run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=0.5)
+    label(tmp_path)
+    done = run("validate-rewards", "--check", "--json")
+    assert done.returncode == 1
+    kinds = {s["kind"] for s in json.loads(done.stdout)["suspects"]}
+    assert "outside_episode" in kinds
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["annotate", "--annotator", "a/b"], "--annotator"),
+        (["annotate", "--tasks", "nothing.toml"], "nothing.toml"),
+        (["validate-rewards", "--json"], "--check"),
+        (["validate-rewards", "--agreement", "ada", "ben"], "no labels"),
+        (["annotate", "someone/dataset"], "someone/dataset"),
+    ],
+)
+def test_flags_that_do_not_fit_name_themselves(run: Run, tmp_path: Path, args: list[str], said: str) -> None:
+    write_mcap(tmp_path / "episode.mcap", cameras={"/camera": Camera(width=64, height=48)}, duration_s=0.2)
+    refused(run(*args), said)
+
+
+def test_a_port_in_use_is_refused(run: Run, tmp_path: Path) -> None:
+    from jiti.annotate.web.serve import bind
+
+    write_mcap(tmp_path / "episode.mcap", cameras={"/camera": Camera(width=64, height=48)}, duration_s=0.2)
+    with bind(0) as taken:
+        refused(run("annotate", "--port", str(taken.getsockname()[1])), "--port")
