@@ -74,6 +74,7 @@ def validate_rewards(
     agreement: Annotated[
         tuple[str, str] | None, typer.Option("--agreement", metavar="A B", help="Compare two annotators.")
     ] = None,
+    write: Annotated[bool, typer.Option("--write", help="Write rewards and returns to rewards.parquet.")] = False,
     gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the return.")] = 0.98,
     as_json: Json = False,
 ) -> None:
@@ -90,6 +91,10 @@ def validate_rewards(
         from jiti.annotate.agreement import compare_labels, print_agreement
 
         print_agreement(compare_labels(session.store.labels_dir, *agreement), as_json=as_json)
+    elif write:
+        from jiti.curate.rewards_file import write_rewards
+
+        print(f"Wrote {write_rewards(session.store.labels_dir, gamma=gamma)}.")
     elif check:
         from jiti.curate.validate import check_labels, print_check
 

@@ -204,6 +204,16 @@ def test_the_check_fails_a_script_when_labels_are_wrong(run: Run, tmp_path: Path
     assert "outside_episode" in kinds
 
 
+def test_rewards_are_written_for_learning(run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=1)
+    label(tmp_path)
+    assert "rewards.parquet" in run("validate-rewards", "--write", "--gamma", "0.5").stdout
+    rows = pq.read_table(tmp_path / "labels" / "rewards.parquet").to_pylist()
+    assert [row["frame_index"] for row in rows if row["reward"] == 1] == list(range(2, 21))
+    assert rows[20]["mc_return"] == 1.0
+    assert rows[19]["mc_return"] == 1.5
+
+
 @pytest.mark.parametrize(
     ("args", "said"),
     [

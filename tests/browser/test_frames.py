@@ -24,11 +24,12 @@ def check_frames(screen: Screen, frames: list[int], shown: Callable[[int], list[
         screen.wait(frame=frame).wait_numbers(shown(frame))
 
 
-@pytest.mark.parametrize("image", ["jpeg", "png", "raw", "h264", "av1"])
-def test_every_picture_coding_shows_the_frame_that_is_named(serve, screen, tmp_path: Path, image: str) -> None:
-    write_mcap(tmp_path / "episode.mcap", cameras={"/camera/front": Camera(image=image, gop=250)}, duration_s=10)
+@pytest.mark.parametrize("images", [("jpeg", "h264", "av1"), ("png", "raw")], ids="+".join)
+def test_every_picture_coding_shows_the_frame_that_is_named(serve, screen, tmp_path: Path, images: list[str]) -> None:
+    cameras = {f"/camera/{image}": Camera(image=image, gop=250) for image in images}
+    write_mcap(tmp_path / "episode.mcap", cameras=cameras, duration_s=10)
     page = screen(serve("annotate", "episode.mcap").url)
-    check_frames(page, [0, 1, 299, 137], lambda frame: [frame])
+    check_frames(page, [0, 1, 299, 137], lambda frame: [frame] * len(images))
 
 
 def test_variable_rate_and_a_camera_that_starts_late(serve, screen, tmp_path: Path) -> None:

@@ -69,6 +69,9 @@ class Proxy:
             self.error = error
         except OSError as error:
             self.error = SourceError(f"{self._part.parent}: no room for the lighter copy ({error}). Free some space.")
+        except Exception as error:  # a bug: told to who waits for the copy, and kept with its traceback
+            self.error = SourceError(f"the lighter copy of {self._episode.episode_id} failed: {error!r}")
+            raise
         finally:
             if self.error:
                 self._part.unlink(missing_ok=True)
