@@ -32,7 +32,7 @@ LARGE_QUANTIZER = 2
 def recording(bench: Bench, seconds: int, *, large_pictures: bool = False) -> Path:
     """A recording of this length, made once."""
     name = f"{seconds}s-large.mcap" if large_pictures else f"{seconds}s.mcap"
-    path = bench.kept / "recordings-2" / name
+    path = bench.kept / "recordings-3" / name
     if not path.exists():
         with bench.progress(f"Making {name}") as say:
             _write(path, seconds, large_pictures, say)
@@ -60,10 +60,8 @@ def _ticks(second: int) -> list[tuple[int, int]]:
     start = START_NS + second * 10**9
     ticks = [(start + k * 10**9 // NUMBERS_HZ, len(CAMERAS)) for k in range(NUMBERS_HZ)]
     for camera in range(len(CAMERAS)):
-        # Rounded up, so that a frame's number follows from its time. Cameras are never in step; the first one, whose
-        # pictures are the frames, comes last, so that at frame 0 all have a picture.
-        late_ns = (len(CAMERAS) - 1 - camera) * 4_000_000
-        ticks += [(start + -(-k * 10**9 // RATE_HZ) + late_ns, camera) for k in range(RATE_HZ)]
+        # Rounded up, so that a frame's number follows from its time. Triggered together, so that all show frame 0.
+        ticks += [(start + -(-k * 10**9 // RATE_HZ), camera) for k in range(RATE_HZ)]
     return sorted(ticks)
 
 

@@ -65,7 +65,7 @@ def encode(segments: Iterable[Segment], info: FileInfo) -> pa.Buffer:
         schema=SCHEMA.with_metadata({_KEY: json.dumps(about)}),
     )
     sink = pa.BufferOutputStream()
-    # Most files have a few rows: dictionaries and statistics cost more than they save, and zstd doubles the time to read.
+    # Most files have a few rows: dictionaries and statistics cost more than they save, and zstd is slow to read.
     pq.write_table(
         table, sink, compression="snappy", use_dictionary=False, write_statistics=False, write_page_checksum=True
     )

@@ -6,8 +6,11 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from jiti.annotate.proposals import write_proposals
+from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import Segment, new_segment_id
 from jiti.annotate.store import LabelStore
+from jiti.tasks.catalogue import load_catalogue
 from tests.browser.conftest import Screen
 from tests.builders.mcap import write_mcap
 
@@ -225,17 +228,11 @@ def test_a_key_is_remapped_for_good(serve, screen, tmp_path: Path) -> None:
 
 
 def _itc_of(instruction: str) -> str:
-    from jiti.tasks.catalogue import load_catalogue
-
     task = load_catalogue().match(instruction)
     assert task is not None
     return task.itcs[0].itc_id
 
 
 def _propose(labels: Path, rows: list[Segment]) -> None:
-    from jiti.annotate.proposals import write_proposals
-
-    from jiti.annotate.segment_file import Recording
-
     write_proposals(labels, "signal", "episode", rows, Recording(300, 30.0, "made"))
     assert LabelStore(labels).annotators() == ["signal"]

@@ -35,13 +35,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def wait_suspects(page: Screen, *kinds: str) -> None:
-    def shown() -> list[str]:
-        return page.page.eval_on_selector_all("#suspects li[data-kind]", "all => all.map(li => li.dataset.kind)")
-
-    page.until(lambda: [k for k in shown() if k != "other_recording"] == list(kinds), lambda: f"{kinds}, shown {shown()}")
-
-
 def test_the_worst_suspect_is_fixed_in_the_annotator(serve, screen, folder: Path) -> None:
     label(folder, "ada", "a", 40, 64, 1)
     label(folder, "ada", "b", 40, 64, 0)
