@@ -5,7 +5,9 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Sequence
+from importlib.abc import MetaPathFinder
 
+import pyarrow as pa
 import uvicorn
 from starlette.routing import BaseRoute
 
@@ -17,6 +19,8 @@ from jiti.annotate.web.session import Session
 from jiti.errors import UsageError
 
 HOST = "127.0.0.1"
+WARM_LATER_S = 5.0
+"""Before Rerun is loaded for a page that shows no recording at first. Our choice: its first answers need the cores."""
 
 
 def bind(port: int) -> socket.socket:
@@ -42,6 +46,7 @@ def serve(
     say: Callable[[str], None] = print,
 ) -> None:
     """Serve until interrupted. Prints the address, which carries the token, and opens it unless told not to."""
+    _spare_pandas()
     listener = bind(port)
     port = listener.getsockname()[1]
     token = new_token()
@@ -50,11 +55,33 @@ def serve(
     say(f"Open {url}")
     say("Stop with Ctrl+C. Everything is saved as you go.")
     sys.stdout.flush()
-    threading.Thread(target=_warm, name="warm", daemon=True).start()
+    warming = threading.Timer(0.0 if path == "/" else WARM_LATER_S, _warm)
+    warming.daemon = True
+    warming.start()
     if browser:
         threading.Timer(0.3, webbrowser.open, (url,)).start()
     config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
     uvicorn.Server(config).run(sockets=[listener])
+
+
+class _NoPandas(MetaPathFinder):
+    """Makes the import of pandas fail as if it were not installed."""
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> None:
+        if fullname == "pandas":
+            raise ModuleNotFoundError(fullname)
+
+
+def _spare_pandas() -> None:
+    """Keep Arrow from importing pandas, where it is installed, at its first conversion of a list: that takes a second.
+
+    Arrow tries once, and again when someone asks for a data frame, which no one does here.
+    """
+    sys.meta_path.insert(0, finder := _NoPandas())
+    try:
+        pa.array([0])
+    finally:
+        sys.meta_path.remove(finder)
 
 
 def _warm() -> None:
