@@ -63,3 +63,9 @@ def test_lerobot_with_several_episodes_a_file(serve, screen, tmp_path: Path, enc
             )
         )
         check_frames(page, frames, lambda frame, e=episode: [e * 1000 + frame])
+
+
+def test_a_codec_that_browsers_do_not_play_shows_through_a_copy(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", cameras={"/camera/front": Camera(image="h265", gop=30)}, duration_s=4)
+    page = screen(serve("annotate", "episode.mcap").url)
+    check_frames(page, [0, 119, 61], lambda frame: [frame])
