@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from jiti.annotate.folder import annotator_dirs
@@ -30,7 +31,9 @@ class Progress:
 
 def progress(labels_dir: Path, annotator: str) -> Mapping[str, Progress]:
     """By episode id; episodes that nobody touched are not in it but count as untouched. Raises LabelError."""
-    table = read_labels(labels_dir, annotators=[annotator, *MACHINES]).segments
+    # Everyone's labels are read, not these alone: what was read of all of them is kept for the next time.
+    table = read_labels(labels_dir).segments
+    table = table.filter(pa.array(np.isin(table["annotator"].to_numpy(), [annotator, *MACHINES])))
     found: dict[str, Progress] = defaultdict(Progress)
     own = zip(*(table[name].to_pylist() for name in ("annotator", "episode_id", "status", "reward")), strict=True)
     for name, episode_id, status, reward in own:
