@@ -47,6 +47,7 @@ class Derived:
         self._glances: OrderedDict[float, Glance] = OrderedDict()
         self._trajectories = Trajectories(session)
         self._compared: tuple[str, float, list[Suspect]] | None = None
+        self._uncompared: tuple[str, float, list[Suspect]] | None = None
         self._comparing = threading.Lock()
 
     def current(self) -> tuple[str, Labels, FrameRewards]:
@@ -75,7 +76,11 @@ class Derived:
         if self._compared is not None and self._compared[:2] == (version, gamma):
             return self._compared[2], True
         threading.Thread(target=self._compare, args=(version, labels, gamma), daemon=True).start()
-        return suspects_of(self._session, labels, gamma=gamma), False
+        # The page asks again and again until all is compared.
+        found = self._uncompared
+        if found is None or found[:2] != (version, gamma):
+            self._uncompared = found = (version, gamma, suspects_of(self._session, labels, gamma=gamma))
+        return found[2], False
 
     def _compare(self, version: str, labels: Labels, gamma: float) -> None:
         if self._comparing.acquire(blocking=False):
