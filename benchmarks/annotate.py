@@ -39,12 +39,14 @@ def main() -> None:
         console.print(f"{name} ({busy:.0f}% busy before)", markup=False, highlight=False)
         for line in BENCHMARKS[name].measure(bench):
             lines.append(replace(line, busy_percent=busy))
-            console.print(f"  {line.what}: {figure(line.measured, line.unit)} {line.outcome}", markup=False, highlight=False)
+            console.print(
+                f"  {line.what}: {figure(line.measured, line.unit)} {line.outcome}", markup=False, highlight=False
+            )
     machine["took"] = f"{time.monotonic() - start:.0f} s"
     show(lines, machine, quick=asked.quick, console=Console(width=None if sys.stdout.isatty() else 170))
     if asked.json:
-        found = {"quick": asked.quick, "machine": machine, "lines": [line.to_json() for line in lines]}
-        asked.json.write_text(json.dumps(found, indent=2) + "\n")
+        answer = {"quick": asked.quick, "machine": machine, "lines": [line.to_json() for line in lines]}
+        asked.json.write_text(json.dumps(answer, indent=2) + "\n")
 
 
 def _arguments() -> argparse.Namespace:

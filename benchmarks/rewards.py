@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from itertools import count
+from pathlib import Path
 
 from bench import Bench
 from many_episodes import dataset
@@ -31,7 +32,7 @@ def measure(bench: Bench) -> Iterator[Line]:
             def tell(what: str, number: int = number, step: Iterator[int] = step) -> None:
                 say((number + next(step) / 6) / times, what)
 
-            with Server(home, "validate-rewards", str(root)) as server:
+            with Server(home, *_arguments(root)) as server:
                 starts.append(server.start_s)
                 tell("first answer")
                 first.append(_seconds(lambda: server.get("/api/rewards?gamma=0.98")))
@@ -47,9 +48,9 @@ def measure(bench: Bench) -> Iterator[Line]:
                 listed += [_seconds(lambda: server.get("/api/episodes")) for _ in range(3)]
                 memory[-1] = max(memory[-1], server.peak_bytes / 1e9)
             tell("started again")
-            with Server(home, "validate-rewards", str(root)) as server:
+            with Server(home, *_arguments(root)) as server:
                 later.append(_seconds(lambda: server.get("/api/rewards?gamma=0.98")))
-        answer = _one_answer(folder / "counts", str(root))
+        answer = _one_answer(folder / "home-0", root)
     yield timed(NAME, "start of the server until its address", starts, note=answer)
     cold = "from the request, which comes as soon as the address is printed; jiti's own caches empty"
     yield timed(NAME, "first answer of /api/rewards", first, limit=FIRST_LIMIT_S, note=cold)
@@ -73,6 +74,10 @@ def measure(bench: Bench) -> Iterator[Line]:
     )
 
 
+def _arguments(root: Path) -> tuple[str, ...]:
+    return "validate-rewards", str(root), "--annotator", "ann"
+
+
 def _seconds(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
@@ -85,12 +90,12 @@ def _until_complete(server: Server) -> None:
     while not server.get("/api/rewards/suspects?gamma=0.98")["complete"]:
         if time.monotonic() > end:
             raise RuntimeError(f"the suspects were not complete after {PATIENCE_S:.0f} s")
-        time.sleep(0.25)
+        time.sleep(0.5)
 
 
-def _one_answer(home, root: str) -> str:
+def _one_answer(home: Path, root: Path) -> str:
     """What was served, so that the figures are known to be about all of it."""
-    with Server(home, "validate-rewards", root) as server:
+    with Server(home, *_arguments(root)) as server:
         totals = server.get("/api/rewards")["totals"]
         found = len(server.get("/api/rewards/suspects")["suspects"])
     return f"{totals['episodes']:,} episodes, {totals['segments']:,} segments, {found:,} suspects at first"
