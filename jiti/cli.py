@@ -84,6 +84,8 @@ def validate_rewards(
     """
     from jiti.annotate.web.session import open_session
 
+    if sum((check, write, agreement is not None)) > 1:
+        raise UsageError("--check, --write and --agreement A B are three commands: pass one of them.")
     if as_json and not (check or agreement):
         raise UsageError("--json needs --check or --agreement A B.")
     session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)

@@ -44,7 +44,7 @@ class Derived:
         self._version: str | None = None
         self._labels: Labels
         self._rewards: FrameRewards
-        self._glances: OrderedDict[float, Glance] = OrderedDict()
+        self._glances: OrderedDict[tuple[str, float], Glance] = OrderedDict()
         self._trajectories = Trajectories(session)
         self._compared: tuple[str, float, list[Suspect]] | None = None
         self._uncompared: tuple[str, float, list[Suspect]] | None = None
@@ -58,17 +58,18 @@ class Derived:
                 self._labels = read_labels(self._session.store.labels_dir)
                 self._rewards = frame_rewards(self._labels.segments, self._frame_counts())
                 self._version = version
-                self._glances.clear()
             return version, self._labels, self._rewards
 
-    def glance(self, gamma: float) -> Glance:
-        _, _, rewards = self.current()
+    def glance(self, gamma: float) -> tuple[str, Labels, FrameRewards, Glance]:
+        """As `current`, and how the returns of these rewards look, all of one version."""
+        version, labels, rewards = self.current()
         with self._lock:
-            if gamma not in self._glances:
-                self._glances[gamma] = glance(rewards, gamma)
+            key = (version, gamma)
+            if key not in self._glances:
+                self._glances[key] = glance(rewards, gamma)
                 while len(self._glances) > GLANCES:
                     self._glances.popitem(last=False)
-            return self._glances[gamma]
+            return version, labels, rewards, self._glances[key]
 
     def suspects(self, gamma: float) -> tuple[list[Suspect], bool]:
         """Suspects, and whether that is all: trajectories are read and compared in a thread, which takes longer."""
@@ -85,8 +86,12 @@ class Derived:
     def _compare(self, version: str, labels: Labels, gamma: float) -> None:
         if self._comparing.acquire(blocking=False):
             try:
-                found = suspects_of(self._session, labels, gamma=gamma, trajectories=self._trajectories)
-                self._compared = (version, gamma, found)
+                # Without trajectories stands until those with them are known, also when comparing fails.
+                found = suspects_of(self._session, labels, gamma=gamma)
+                try:
+                    found = suspects_of(self._session, labels, gamma=gamma, trajectories=self._trajectories)
+                finally:
+                    self._compared = (version, gamma, found)
             finally:
                 self._comparing.release()
 
@@ -111,8 +116,7 @@ def rvv_routes(session: Session) -> list[BaseRoute]:
         return FileResponse(STATIC / "rvv.html")
 
     def overview(request: Request, _body: dict) -> dict[str, Any]:
-        version, labels, rewards = derived.current()
-        seen = derived.glance(gamma_of(request))
+        version, labels, rewards, seen = derived.glance(gamma_of(request))
         titles = {ref.episode_id: ref.title for ref in session.refs()}
         annotated = int(rewards.annotated.sum())
         return {

@@ -30,7 +30,7 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-PATIENCE_S = 60.0
+PATIENCE_S = 90.0
 """For a page on two busy cores that draw in software."""
 
 
@@ -128,6 +128,16 @@ class Screen:
 
     def open(self, url: str) -> "Screen":
         self.page.goto(url)
+        return self.painted()
+
+    def reload(self) -> "Screen":
+        self.page.reload()
+        return self.painted()
+
+    def painted(self) -> "Screen":
+        """Wait for the first paint: Chromium drops keys that come before it, as no one could have meant them."""
+        paint = "performance.getEntriesByName('first-contentful-paint').length"
+        self.until(lambda: self.page.evaluate(paint), lambda: "the first paint")
         return self
 
     @property

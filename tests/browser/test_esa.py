@@ -1,6 +1,7 @@
 """The annotator as a person uses it: real keys, and the Parquet file that results."""
 
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -68,8 +69,7 @@ def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> N
     assert [row["reward"] for row in before] == [1, 0] or [row["reward"] for row in before] == [0, 1]
     assert parquet_rows(folder, "ada") == before
 
-    page.page.reload()
-    page.wait(version=10, segments=2)
+    page.reload().wait(version=10, segments=2)
     assert page_rows(page) == before
 
     page.press("j", "x").wait(version=11, segments=1)
@@ -102,7 +102,7 @@ def test_a_second_tab_is_told_what_changed(serve, screen, tmp_path: Path) -> Non
     first, second = (serve("annotate", ".", "--annotator", "ada") for _ in range(2))
     page = screen(first.url).wait(frame=0)
     other = screen(second.url).wait(frame=0)
-    other.page.route("**/api/version", lambda route: route.abort())  # as when the tab was asleep
+    other.page.route("**/api/version*", lambda route: route.abort())  # as when the tab was asleep
     page.press("w").wait(version=1)
     other.press("w")
     other.until(lambda: "mark window" in other.page.inner_text("#alert"), lambda: "the refusal")
@@ -192,9 +192,40 @@ def test_hold_to_label_while_playing_and_loop(serve, screen, tmp_path: Path) -> 
     row = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
     assert row["end_frame"] - row["start_frame"] >= 20
     page.press("l").wait(playing="true")
-    seen = {int(page.state["frame"]) for _ in range(60)}
-    assert seen <= set(range(row["start_frame"], row["end_frame"] + 1))
+    seen = [int(page.state["frame"])]
+    page.until(lambda: seen.append(int(page.state["frame"])) or any(b < a for a, b in pairwise(seen)), lambda: "a loop")
+    assert set(seen) <= set(range(row["start_frame"], row["end_frame"] + 1))
     page.press("l").wait(playing="false")
+
+
+def test_keys_in_quick_succession_are_for_the_segment_that_was_just_marked(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", duration_s=10)
+    write_mcap(tmp_path / "b.mcap", duration_s=10)
+    page = screen(serve("annotate", ".", "--annotator", "ada").url).wait(frame=0)
+    page.press(
+        "w", "f", *["Shift+ArrowRight"] * 4, "w", "p", ".", *["Shift+ArrowRight"] * 4, "i", "ArrowRight", "o", "f", "n"
+    )
+    page.wait(episode="b", segments=0)
+    path = tmp_path / "labels" / "segments" / "annotator=ada" / "a.parquet"
+    rows = sorted(pq.ParquetFile(path).read().to_pylist(), key=lambda row: row["start_frame"])
+    assert [(r["start_frame"], r["end_frame"], r["reward"]) for r in rows] == [(0, 24, 0), (28, 53, 1), (77, 78, 0)]
+
+
+def test_a_click_near_an_edge_does_not_move_it_but_dragging_does(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=10)
+    page = screen(serve("annotate", ".").url).wait(frame=0)
+    page.press(*["Shift+ArrowRight"] * 10, "w").wait(version=1)  # frames 88 to 112 of 300
+    box = page.page.locator("#lane-canvas").bounding_box()
+    x, y = box["x"] + box["width"] * 113 / 300, box["y"] + 20 + 14 + 12
+    page.page.mouse.click(x - 2, y)
+    page.press("Home").wait(frame=0, version=1)
+    page.page.mouse.move(x - 2, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x - 2 + box["width"] * 20 / 300, y, steps=4)
+    page.page.mouse.up()
+    page.wait(version=2)
+    row = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
+    assert (row["start_frame"], row["end_frame"]) == (88, 132)
 
 
 def test_edges_snap_to_the_gripper(serve, screen, tmp_path: Path) -> None:
@@ -208,7 +239,7 @@ def test_edges_snap_to_the_gripper(serve, screen, tmp_path: Path) -> None:
     for before in [e["frame"] for e in found if e["frame"] <= event]:
         page.press("e").wait(frame=before)
     page.press("ArrowRight", "ArrowRight", "ArrowRight", "w").wait(version=1)
-    page.press("Home").press(*["Shift+ArrowRight"] * (event // 10))
+    page.press("Home", *["ArrowRight"] * (event + 4)).wait(frame=event + 4)
     page.press("I").wait(version=2)
     page.press("s").wait(version=3)
     row = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
@@ -223,8 +254,7 @@ def test_a_key_is_remapped_for_good(serve, screen, tmp_path: Path) -> None:
     page.page.click("[data-action=window]")
     page.press("g").press("Escape")
     page.press("g").wait(version=1)
-    page.page.reload()
-    page.wait(version=1).press("w", "g").wait(version=2)
+    page.reload().wait(version=1).press("w", "g").wait(version=2)
 
 
 def _itc_of(instruction: str) -> str:

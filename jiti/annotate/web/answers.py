@@ -44,7 +44,8 @@ def endpoint(work: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Reques
                     return JSONResponse({"error": "The request is larger than 1 MiB."}, 413)
             try:
                 body = json.loads(raw or b"{}")
-            except ValueError as error:
+                json.dumps(body, ensure_ascii=False).encode()  # refuses half of a surrogate pair, which no file takes
+            except (ValueError, RecursionError) as error:
                 return JSONResponse({"error": f"The request is not JSON: {error}."}, 400)
             if not isinstance(body, dict):
                 return JSONResponse({"error": "The request is not a JSON object."}, 400)
@@ -52,6 +53,14 @@ def endpoint(work: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Reques
         return result if isinstance(result, Response) else JSONResponse(result)
 
     return run
+
+
+def take_texts(body: dict[str, Any], name: str) -> list[str]:
+    """A field that is a list of texts, empty when it is missing. Raises LabelError."""
+    texts = take(body, name, list, [])
+    if not all(isinstance(text, str) for text in texts):
+        raise LabelError(f"{name!r} is {texts!r}; it must be a list of texts.")
+    return texts
 
 
 def take(body: dict[str, Any], name: str, kind: type, default: Any = ...) -> Any:

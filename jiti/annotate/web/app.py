@@ -55,6 +55,9 @@ def create_app(session: Session, *, token: str, port: int, routes: Sequence[Base
 class CachedFiles(StaticFiles):
     """Files that the browser may keep but must ask about, so that an upgrade shows at once."""
 
+    def lookup_path(self, path: str):
+        return ("", None) if "\0" in path else super().lookup_path(path)
+
     def file_response(self, *args, **kwargs) -> Response:
         response = super().file_response(*args, **kwargs)
         response.headers["Cache-Control"] = "private, no-cache"

@@ -52,7 +52,7 @@ def episode_routes(session: Session) -> list[Route]:
         return {"episodes": listing, "version": labels_version(session.store.labels_dir)}
 
     def episode(request: Request, _body: dict) -> dict[str, Any]:
-        opened = session.episode(request.path_params["episode_id"])
+        opened = session.episode(request.path_params["episode_id"], anew=True)  # it may have changed since
         task = session.task(opened)
         return {
             **describe(session, opened),

@@ -1,5 +1,6 @@
 """Labels for the page: an annotator's rows on an episode, edits, undo and redo, decisions on proposals."""
 
+from dataclasses import replace
 from typing import Any
 
 from starlette.requests import Request
@@ -8,7 +9,7 @@ from starlette.routing import Route
 from jiti.annotate.partition import Partition
 from jiti.annotate.proposals import accept, edit, reject
 from jiti.annotate.segments import Segment, new_segment_id
-from jiti.annotate.web.answers import endpoint, take
+from jiti.annotate.web.answers import endpoint, take, take_texts
 from jiti.annotate.web.session import Session
 from jiti.annotate.web.waiting import waiting
 from jiti.episodes.clock import Clock
@@ -29,7 +30,7 @@ def label_routes(session: Session) -> list[Route]:
         mine = {s.segment_id: s for s in partition.segments}
         task = session.task(episode)
         put = [row_of(fields, mine, episode_id, episode.clock, task) for fields in take(body, "put", list, [])]
-        remove = take(body, "remove", list, [])
+        remove = take_texts(body, "remove")
         partition.apply(take(body, "action", str), put, remove, based_on=take(body, "based_on", int))
         return rows(session, episode_id)
 
@@ -56,6 +57,7 @@ def label_routes(session: Session) -> list[Route]:
             row = edit(proposal, reward=body.get("reward", proposal.reward))
         else:
             raise LabelError(f"decision is {decision!r}; it must be accept, edit or reject.")
+        row = replace(row, segment_id=take(body, "segment_id", str, None) or row.segment_id)
         partition.apply(f"{decision} proposal", [row], [], based_on=take(body, "based_on", int))
         return {**rows(session, episode_id), "segment_id": row.segment_id}
 
@@ -72,12 +74,14 @@ def label_routes(session: Session) -> list[Route]:
 def rows(session: Session, episode_id: str) -> dict[str, Any]:
     """What the page shows of an episode's labels: own rows, waiting proposals, version, what can be undone."""
     partition: Partition = session.partition(episode_id)
+    view = partition.view  # all of one moment, whoever saves meanwhile
     return {
-        "version": partition.version,
-        "segments": [s.to_row() for s in partition.segments],
+        "version": view.version,
+        "segments": [s.to_row() for s in view.segments],
         "proposals": [p.to_row() for p in waiting(session.store.labels_dir, partition)],
-        "can_undo": partition.can_undo,
-        "can_redo": partition.can_redo,
+        "can_undo": view.can_undo,
+        "can_redo": view.can_redo,
+        "label_problems": [str(p) for p in partition.problems],
     }
 
 
@@ -93,7 +97,8 @@ def row_of(fields: Any, mine: dict[str, Segment], episode_id: str, clock: Clock,
         raise LabelError(
             f"a segment from frame {start} to {end} does not fit: {episode_id} has frames 0 to {clock.frame_count - 1}."
         )
-    old = mine.get(fields.get("segment_id", ""))
+    segment_id = take(fields, "segment_id", str, None)
+    old = mine.get(segment_id or "")
     itc_id = take(fields, "itc_id", str)
     criteria = {itc.itc_id: str(itc.criterion) for itc in task.itcs}
     if old is not None and old.itc_id == itc_id:
@@ -102,7 +107,7 @@ def row_of(fields: Any, mine: dict[str, Segment], episode_id: str, clock: Clock,
         raise LabelError(f"{task.task_id} has no ITC {itc_id!r}; it has: {', '.join(criteria)}.")
     given = {"reward": fields.get("reward"), "rationale": take(fields, "rationale", str, None)}
     return Segment(
-        segment_id=old.segment_id if old else take(fields, "segment_id", str, None) or new_segment_id(),
+        segment_id=segment_id or new_segment_id(),
         episode_id=episode_id,
         itc_id=itc_id,
         criterion=criteria[itc_id],

@@ -44,10 +44,10 @@ class Proxy:
         return (time.monotonic() - self._started_at) * (self.frame_count / self.frames_done - 1)
 
     def start(self) -> None:
-        """Begin to build in a thread, unless it is built or being built."""
-        if self.done or (self._thread and self._thread.is_alive()):
+        """Begin to build in a thread, unless it is built, being built, or has failed."""
+        if self.done or self.error or (self._thread and self._thread.is_alive()):
             return
-        self.error, self._started_at = None, time.monotonic()
+        self._started_at = time.monotonic()
         self._part.write_bytes(b"")
         self._thread = threading.Thread(target=self._build, name="proxy", daemon=True)
         self._thread.start()
@@ -82,6 +82,8 @@ class Proxy:
     def read(self, piece_bytes: int = 1 << 20) -> Iterator[bytes]:
         """Yield the proxy's bytes from the start, waiting for the builder where it must. Raises what it ran into."""
         self.start()
+        if self.error:
+            raise self.error
         source = self.path if self.done else self._part
         with _open_either(source, self.path) as file:
             while True:

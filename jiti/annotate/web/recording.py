@@ -6,7 +6,6 @@ Pictures pass through undecoded.
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,8 +47,10 @@ def plotted_streams(streams: Sequence[Stream], limit: int = MAX_PLOTS) -> list[s
 
 
 def entity_path(stream: str) -> str:
-    """The stream's name as a Rerun entity path."""
-    return "/" + "/".join(part for part in PurePosixPath(stream).parts if part != "/")
+    """The stream's name as a Rerun entity path, with what Rerun gives a meaning escaped."""
+    import rerun as rr
+
+    return rr.new_entity_path([part for part in stream.split("/") if part])
 
 
 def stream_recording(

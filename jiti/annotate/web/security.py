@@ -1,7 +1,6 @@
 """What every request must show: our host, our origin, our token. And what every answer carries: a content policy."""
 
 import secrets
-from http.cookies import SimpleCookie
 from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -64,7 +63,7 @@ class Guard:
         if origin is not None and urlsplit(origin).netloc not in self._hosts:
             return PlainTextResponse("jiti: requests from other pages are refused.", 403)
         site = headers.get("sec-fetch-site", "none")
-        if site not in ("same-origin", "none") and self._query_token(scope) is None:
+        if site not in ("same-origin", "none") and not self._matches(self._query_token(scope)):
             return PlainTextResponse("jiti: requests from other pages are refused.", 403)
         if not any(self._matches(given) for given in (self._query_token(scope), *self._carried_tokens(headers))):
             return PlainTextResponse(
@@ -75,7 +74,7 @@ class Guard:
         return None
 
     def _log_in(self, scope: Scope) -> ASGIApp | None:
-        if self._query_token(scope) is None or scope["method"] != "GET":
+        if not self._matches(self._query_token(scope)) or scope["method"] != "GET":
             return None
         query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(key, value) for key, value in query if key != "token"])
@@ -88,11 +87,11 @@ class Guard:
         return parse_qs(scope["query_string"].decode("latin-1")).get("token", [None])[0]
 
     def _carried_tokens(self, headers: Headers) -> list[str | None]:
-        cookie: SimpleCookie = SimpleCookie()
-        cookie.load(headers.get("cookie", ""))
-        morsel = cookie.get(self._cookie)
+        # By hand: other programs of this machine set cookies here as well, in forms that parsers refuse whole.
+        cookies = (part.partition("=") for part in headers.get("cookie", "").split(";"))
+        ours = [value.strip() for name, _, value in cookies if name.strip() == self._cookie]
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
-        return [morsel.value if morsel else None, bearer if scheme.lower() == "bearer" else None]
+        return [*ours, bearer if scheme.lower() == "bearer" else None]
 
     def _matches(self, given: str | None) -> bool:
         return given is not None and secrets.compare_digest(given.encode(), self._token.encode())

@@ -53,14 +53,16 @@ class Session:
                 return ref
         raise SourceError(f"{self.reader.title} has no episode {episode_id!r}.")
 
-    def episode(self, episode_id: str) -> Episode:
-        """Open an episode, or take it from those that are open. Raises SourceError."""
+    def episode(self, episode_id: str, *, anew: bool = False) -> Episode:
+        """Open an episode, or take it from those that are open, unless it shall be read anew. Raises SourceError."""
         with self.lock:
-            if episode_id in self._episodes:
+            if episode_id in self._episodes and not anew:
                 self._episodes.move_to_end(episode_id)
                 return self._episodes[episode_id]
         episode = self.reader.open(episode_id)
         with self.lock:
+            if anew and (failed := self._proxies.get(episode.fingerprint)) and failed.error:
+                del self._proxies[episode.fingerprint]  # opening it again tries again
             self._episodes[episode_id] = episode
             while len(self._episodes) > OPEN_EPISODES:
                 self._episodes.popitem(last=False)
@@ -86,7 +88,7 @@ class Session:
         too_large = episode.image_bytes > self.viewer_bytes
         with self.lock:
             key = episode.fingerprint
-            if key not in self._proxies or (self._proxies[key].error is not None):
+            if key not in self._proxies:
                 height = LIGHT_HEIGHT if too_large else PLAYABLE_HEIGHT
                 self._proxies[key] = Proxy(episode, self.recording_id(episode), max_height=height)
             return self._proxies[key]

@@ -7,8 +7,8 @@ const WORD = { 1: "pass", 0: "fail", null: "undecided" };
 export class Differences {
   #names = [];
 
-  constructor(panel, { onOpen, onSettled }) {
-    Object.assign(this, { panel, onOpen, onSettled });
+  constructor(panel, { onOpen, onSettled, onTrouble }) {
+    Object.assign(this, { panel, onOpen, onSettled, onTrouble });
     this.first = make("select", { onchange: () => this.load() });
     this.second = make("select", { onchange: () => this.load() });
     this.first.setAttribute("aria-label", "First annotator");
@@ -45,10 +45,15 @@ export class Differences {
   }
 
   #row(difference, a, b) {
+    const segment_id = (difference.a ?? difference.b).segment_id;
     const settle = (side) => async () => {
-      await call("/api/rewards/settle", { a, b, side, segment_id: (difference.a ?? difference.b).segment_id });
+      try {
+        await call("/api/rewards/settle", { a, b, side, segment_id });
+      } catch (error) {
+        return this.onTrouble(error);
+      }
       await this.load();
-      this.onSettled();
+      return this.onSettled();
     };
     const say = (row) => (row ? `${row.start_frame}–${row.end_frame} ${WORD[row.reward]}` : "nothing");
     const frames = make("button", { textContent: `${difference.start_frame}–${difference.end_frame}`, onclick: () => this.onOpen(difference.episode_id, difference.start_frame) });

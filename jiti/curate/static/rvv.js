@@ -26,16 +26,22 @@ const map = new RewardMap($("map"), {
 });
 const chart = new Chart($("chart"), { onSeek: (frame) => seek(frame) });
 const player = new Player((ns) => show(clock.frameAt(ns)));
-const differences = new Differences($("differences"), { onOpen: (id, frame) => open(id, frame), onSettled: () => refresh() });
+const differences = new Differences($("differences"), { onOpen: (id, frame) => open(id, frame), onSettled: () => refresh(), onTrouble: (error) => warn(error.message) });
 
 // ---- the dataset ----
 
+// Only the newest question's answer counts, whatever order the answers come in.
+const asked = { refresh: 0, open: 0 };
 async function refresh() {
+  const mine = ++asked.refresh;
   try {
-    overview = await call(`/api/rewards?gamma=${gamma}`);
+    const answer = await call(`/api/rewards?gamma=${gamma}`);
+    if (mine !== asked.refresh) return;
+    overview = answer;
   } catch (error) {
     return warn(error.message);
   }
+  lastVersion = overview.version;
   const bytes = (name) => Uint8Array.from(atob(overview[name]), (c) => c.charCodeAt(0));
   overview.stateBins = bytes("states");
   overview.returnBins = bytes("returns");
@@ -44,9 +50,9 @@ async function refresh() {
   text("scale", `0 to ${overview.return_max.toPrecision(3)}`);
   drawMap();
   differences.annotators(overview.annotators);
-  await readSuspects();
+  await readSuspects().catch((error) => warn(error.message));
   if ($("order").value === "suspects") drawMap();
-  if (episode) await readEpisode(episode.episode_id);
+  if (episode) await readEpisode(episode.episode_id).catch((error) => warn(error.message));
   describe();
 }
 
@@ -107,8 +113,10 @@ function esaLink({ episode_id, start_frame, segment_id }) {
 async function open(id, frame, share = 0) {
   if (!id) return;
   player.stop();
+  const mine = ++asked.open;
   try {
     const answer = await call(episodePath(id));
+    if (mine !== asked.open) return;
     const changed = episode?.episode_id !== id;
     episode = answer;
     clock = new Clock(answer.display_ns);
@@ -128,6 +136,7 @@ async function open(id, frame, share = 0) {
 
 async function readEpisode(id) {
   const answer = await call(`/api/rewards/episodes/${encodeURIComponent(id)}?gamma=${gamma}`);
+  if (id !== episode.episode_id) return;
   chart.data = answer;
   chart.draw();
   text("episode", episode.title);
@@ -213,8 +222,9 @@ window.addEventListener("keydown", (event) => {
 async function watchVersion() {
   try {
     const { version } = await call("/api/version");
-    if (lastVersion !== null && version !== lastVersion) await refresh();
-    lastVersion = version;
+    if (version === lastVersion) return;
+    lastVersion = version; // asked for, so that a slow answer is not asked for twice
+    await refresh();
   } catch (error) {
     warn(error.message);
   }

@@ -37,6 +37,10 @@ export class Line {
   #last = Promise.resolve();
   waiting = 0;
 
+  drained() {
+    return this.#last;
+  }
+
   add(task) {
     this.waiting++;
     const run = this.#last.then(task).finally(() => this.waiting--);

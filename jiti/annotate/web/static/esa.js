@@ -75,7 +75,7 @@ const queue = new Queue($("episodes"), { open: (id) => open(id) });
 // ---- time ----
 
 function show(f) {
-  frame = clock.clamp(f);
+  frame = clock.clamp(Number.isFinite(f) ? f : 0);
   viewer.seek(clock.ns[frame]);
   timeline.follow(frame);
   drawTime();
@@ -132,14 +132,14 @@ function select(id, jump = true) {
   draw();
 }
 
+// The new segment is selected at once: a verdict pressed before the server has answered is for it.
 async function add(start, end, action) {
-  const itc = lanes()[lane];
-  const answer = await labels.edit(action, () => ({
-    put: [{ segment_id: uuid7(), itc_id: itc.itc_id, start_frame: start, end_frame: end, reward: null }],
-  }));
-  if (!answer) return;
-  const added = answer.segments.find((s) => s.start_frame === start && s.end_frame === end && s.itc_id === itc.itc_id && s.reward === null);
-  if (added) select(added.segment_id, false);
+  const id = uuid7();
+  const { itc_id } = lanes()[lane];
+  selected = id;
+  await labels.edit(action, () => ({ put: [{ segment_id: id, itc_id, start_frame: start, end_frame: end, reward: null }] }));
+  if (selected === id && !labels.get(id)) selected = null;
+  draw();
 }
 
 function markIn() {
@@ -162,13 +162,13 @@ function markWindow() {
 
 function setVerdict(id, reward) {
   if (labels.isProposal(id)) return decide(id, "edit", { reward });
-  if (!labels.get(id)) return hint("Select or mark a segment first.");
+  if (!id) return hint("Select or mark a segment first.");
   labels.change("verdict", id, (s) => (s.reward === reward ? null : { reward }));
 }
 
 // Moves one edge, keeping start <= end and both inside the episode.
 function setEdge(id, edge, where) {
-  if (!labels.segments.some((s) => s.segment_id === id)) return hint("Select one of your segments first.");
+  if (!id || labels.isProposal(id)) return hint("Select one of your segments first.");
   labels
     .change("move edge", id, (s) => {
       const to = clock.clamp(where(s[edge]));
@@ -192,7 +192,7 @@ function snap() {
 }
 
 function remove(id) {
-  if (!labels.segments.some((s) => s.segment_id === id)) return hint("Select one of your segments first.");
+  if (!id || labels.isProposal(id)) return hint("Select one of your segments first.");
   labels.edit("delete", () => (labels.segments.some((s) => s.segment_id === id) ? { remove: [id] } : null));
   if (selected === id) selected = null;
 }
@@ -206,21 +206,23 @@ function step(direction) {
 
 // ---- proposals ----
 
-// A verdict given to a proposal takes it over with that verdict.
-async function decide(id, decision, verdict) {
+// A verdict given to a proposal takes it over with that verdict. What is taken over is selected at once.
+async function decide(id, decision, verdict = {}) {
   if (!labels.isProposal(id)) return hint("Select a proposal first.");
-  const answer = await labels.decide(id, decision, verdict);
-  if (!answer) return;
-  if (decision === "edit") select(answer.segment_id);
-  else nextProposal(false);
+  const row = uuid7();
+  if (decision === "edit") selected = row;
+  const answer = await labels.decide(id, decision, { segment_id: row, ...verdict });
+  if (!answer) return select(labels.get(id) ? id : null, false);
+  if (decision !== "edit") nextProposal(false);
+  else draw();
 }
 
 // Proposals of an episode, then those of the next one: the largest expected change of label first.
 async function nextProposal(say = true) {
   const change = (p) => (p.reward === null ? 1 : 1 - (p.confidence ?? 0.5)) * (p.end_frame - p.start_frame + 1);
-  const waiting = labels.proposals.filter((p) => p.segment_id !== selected).toSorted((a, b) => change(b) - change(a));
-  const next = waiting[0] ?? labels.proposals[0];
-  if (next) return select(next.segment_id);
+  const waiting = labels.proposals.toSorted((a, b) => change(b) - change(a));
+  const at = waiting.findIndex((p) => p.segment_id === selected);
+  if (waiting.length) return select(waiting[(at + 1) % waiting.length].segment_id);
   selected = null;
   draw();
   if (!say) return hint(`No more proposals here. ${keys.hintFor("next-proposal")} goes to the next episode that has some.`);
@@ -287,7 +289,7 @@ const keys = new Keys(
     { id: "find", group: "Episodes", label: "Find an episode", keys: ["/"], run: () => $("find").focus() },
     { id: "help", group: "Episodes", label: "Show all keys", keys: ["?"], run: () => keys.show() },
   ],
-  { dialog: $("help") },
+  { dialog: $("help"), ready: () => episode !== null },
 );
 
 function speed(by) {
@@ -305,6 +307,7 @@ function zoom() {
 function forget() {
   mark = null;
   selected = null;
+  if (looping && player.playing) pause();
   looping = false;
   draw();
 }
@@ -345,6 +348,7 @@ function draw() {
   $("loop").hidden = !looping;
   $("undo").disabled = !labels.canUndo;
   $("redo").disabled = !labels.canRedo;
+  lane = Math.max(0, Math.min(lane, lanes().length - 1));
   const names = lanes().map((itc, k) =>
     make("button", { textContent: `${k + 1}  ${laneName(itc)}`, title: itc.statement, "aria-pressed": String(k === lane), onclick: () => chooseLane(k) }),
   );
@@ -403,24 +407,28 @@ function warnOf(problems) {
 
 // ---- episodes ----
 
+let opening = 0;
 async function open(id, at = 0) {
+  const mine = ++opening;
   player.stop();
-  looping = false;
-  mark = null;
-  selected = null;
-  events = [];
   let answer;
   try {
+    await labels.idle(); // edits of the episode that is shown come first
     answer = await call(episodePath(id));
+    await labels.idle();
   } catch (error) {
     queue.mark(id);
     return warn(error.message);
   }
+  if (mine !== opening) return; // another one was asked for meanwhile
+  looping = false;
+  mark = null;
+  selected = null;
+  events = [];
   episode = answer;
   clock = new Clock(answer.display_ns);
-  lane = Math.min(lane, lanes().length - 1);
+  lane = 0;
   $("alert").hidden = true;
-  warnOf(answer.problems);
   document.title = `${answer.title} · jiti annotate`;
   text("title", answer.title);
   text("instruction", answer.instruction ?? answer.task.instruction ?? "");
@@ -428,6 +436,7 @@ async function open(id, at = 0) {
   history.replaceState(null, "", `/?${new URLSearchParams({ episode: id })}`);
   saved("idle", answer.version ? `Saved · ${answer.version}` : "Nothing to save");
   labels.take(id, answer);
+  warnOf([...answer.problems, ...labels.problems]);
   queue.current(id);
   timeline.fit();
   show(at);
@@ -466,7 +475,7 @@ async function watchVersion() {
   try {
     const id = episode?.episode_id;
     const { version, problems } = await call(`/api/version${id ? `?${new URLSearchParams({ episode: id })}` : ""}`);
-    if (id === episode?.episode_id) warnOf(problems);
+    if (id && id === episode?.episode_id) warnOf([...problems, ...labels.problems]);
     if (version !== lastVersion && document.visibilityState === "visible") {
       lastVersion = version;
       await queue.refresh();

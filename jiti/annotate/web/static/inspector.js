@@ -70,7 +70,7 @@ export class Inspector {
     const id = segment.segment_id;
     const note = make("textarea", { value: segment.rationale ?? "", placeholder: "Note", data: { segment: id } });
     note.setAttribute("aria-label", "Note on this segment");
-    note.addEventListener("change", () => this.actions.note(id, note.value));
+    note.addEventListener("blur", () => this.actions.note(id, note.value));
     note.addEventListener("keydown", (event) => {
       event.stopPropagation();
       if (event.key === "Escape" || (event.key === "Enter" && (event.ctrlKey || event.metaKey))) note.blur();

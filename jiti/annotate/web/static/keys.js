@@ -19,9 +19,11 @@ export class Keys {
   #held = null;
 
   // Actions: [{ id, group, label, keys: [...], run(event), up?(event), repeat? }].
-  constructor(actions, { dialog }) {
+  constructor(actions, { dialog, ready }) {
     this.actions = actions;
     this.dialog = dialog;
+    this.ready = ready;
+    dialog.addEventListener("close", () => (this.listening = null));
     this.changed = {};
     this.listening = null;
     window.addEventListener("keydown", (event) => this.#down(event), true);
@@ -58,7 +60,7 @@ export class Keys {
     if (this.listening) return this.#remap(event);
     if (!this.#ours(event) || ["Shift", "Control", "Alt", "Meta", "AltGraph"].includes(event.key)) return;
     const action = this.find(keyName(event));
-    if (!action) {
+    if (!action || (!this.ready() && action.id !== "help")) {
       // Nothing of the viewer's own keys may move its time behind the page's back.
       if (event.target instanceof Element && event.target.closest("#viewer")) event.stopImmediatePropagation();
       return;
@@ -116,7 +118,7 @@ export class Keys {
       alert(`${name} is already used to ${taken.label.toLowerCase()}. Change that one first.`);
     } else if (event.key !== "Escape") {
       this.changed = { ...this.changed, [action.id]: name };
-      await call("/api/keys", { keys: this.changed }, "PUT");
+      await call("/api/keys", { keys: this.changed }, "PUT").catch((error) => alert(error.message));
     }
     this.dialog.close();
     this.show();

@@ -10,12 +10,16 @@ export class Labels {
   version = 0;
   canUndo = false;
   canRedo = false;
+  problems = [];
 
   // `onChange()` after each answer; `onSaving(count)`, `onSaved(version)`, `onTrouble(error)` tell how saving goes.
   constructor(handlers) {
     Object.assign(this, handlers);
     this.line = new Line();
-    addEventListener("beforeunload", (event) => this.line.waiting && event.preventDefault());
+    addEventListener("beforeunload", (event) => {
+      document.activeElement?.blur?.(); // a note that is being written is saved when it loses the focus
+      if (this.line.waiting) event.preventDefault();
+    });
   }
 
   take(episodeId, answer) {
@@ -25,6 +29,7 @@ export class Labels {
     this.version = answer.version;
     this.canUndo = answer.can_undo;
     this.canRedo = answer.can_redo;
+    this.problems = answer.label_problems;
     this.onChange();
   }
 
@@ -34,6 +39,11 @@ export class Labels {
 
   isProposal(id) {
     return this.proposals.some((s) => s.segment_id === id);
+  }
+
+  // Until every edit so far is saved or refused.
+  async idle() {
+    while (this.line.waiting) await this.line.drained();
   }
 
   // `build()` is called when the edits before this one are saved, and gives { put, remove } or null to do nothing.
@@ -61,9 +71,9 @@ export class Labels {
     return this.#save("/redo", () => (this.canRedo ? {} : null));
   }
 
-  // `verdict` goes with "edit": { reward }.
-  decide(id, decision, verdict = {}) {
-    return this.#save(`/proposals/${encodeURIComponent(id)}`, () => (this.isProposal(id) ? { decision, ...verdict } : null));
+  // `row` goes with it: { segment_id } of the row to be, and { reward } with "edit".
+  decide(id, decision, row = {}) {
+    return this.#save(`/proposals/${encodeURIComponent(id)}`, () => (this.isProposal(id) ? { decision, ...row } : null));
   }
 
   async refresh() {
@@ -76,8 +86,7 @@ export class Labels {
   #save(path, build) {
     const id = this.episodeId;
     return this.line.add(async () => {
-      if (id !== this.episodeId) return null;
-      const body = build();
+      const body = build(); // the page shows another episode only when all edits of this one are done
       if (!body) return null;
       this.onSaving();
       try {

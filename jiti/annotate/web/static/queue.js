@@ -56,7 +56,7 @@ export class Queue {
   }
 
   withProposals(except) {
-    const waiting = this.all.filter((e) => e.proposals && e.episode_id !== except);
+    const waiting = this.all.filter((e) => e.proposals && !e.problem && e.episode_id !== except);
     return waiting.toSorted((a, b) => b.expected_change - a.expected_change)[0]?.episode_id ?? null;
   }
 

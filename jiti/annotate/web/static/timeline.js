@@ -3,7 +3,8 @@
 export const RULER = 20;
 export const EVENTS = 14;
 export const LANE = 24;
-const EDGE_PX = 6;
+const EDGE_PX = 6; // how near to an edge the pointer takes hold of it
+const DRAG_PX = 3; // how far it must move before the edge does
 const GLYPH = { 1: "✓", 0: "✗", null: "?" };
 const TICKS = [1, 2, 5, 10, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10000, 25000, 50000, 100000];
 
@@ -18,6 +19,7 @@ export class Timeline {
     canvas.addEventListener("pointerdown", (event) => this.#down(event));
     canvas.addEventListener("pointermove", (event) => this.#move(event));
     canvas.addEventListener("pointerup", (event) => this.#up(event));
+    canvas.addEventListener("pointercancel", (event) => this.#up(event));
     canvas.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
     canvas.addEventListener("dblclick", () => this.fit());
     new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
@@ -159,7 +161,9 @@ export class Timeline {
     this.canvas.setPointerCapture(event.pointerId);
     const hit = this.#hit(event);
     if (hit) this.onSelect(hit.segment);
-    this.drag = hit?.edge ? { edge: hit.edge, segment: hit.segment } : { seek: true };
+    // An edge moves only when it is dragged, by as much as the pointer: a click near it must not.
+    const grabbed = hit?.edge && { edge: hit.edge, segment: hit.segment, from: event.clientX, moved: false };
+    this.drag = grabbed || { seek: true };
     if (!hit?.edge) this.onSeek(this.frameAt(this.#point(event).x));
   }
 
@@ -169,13 +173,23 @@ export class Timeline {
       this.canvas.style.cursor = hit?.edge ? "ew-resize" : "pointer";
       return;
     }
-    this.onSeek(this.frameAt(this.#point(event).x));
+    if (this.drag.edge) {
+      this.drag.moved ||= Math.abs(event.clientX - this.drag.from) >= DRAG_PX;
+      if (this.drag.moved) this.onSeek(this.#edgeFrame(event));
+    } else {
+      this.onSeek(this.frameAt(this.#point(event).x));
+    }
+  }
+
+  #edgeFrame(event) {
+    const frames = ((event.clientX - this.drag.from) / this.width) * (this.view[1] - this.view[0]);
+    return this.drag.segment[this.drag.edge] + Math.round(frames);
   }
 
   #up(event) {
     const drag = this.drag;
+    if (drag?.moved && event.type === "pointerup") this.onEdge(drag.segment, drag.edge, this.#edgeFrame(event));
     this.drag = null;
-    if (drag?.edge) this.onEdge(drag.segment, drag.edge, this.frameAt(this.#point(event).x));
   }
 
   #wheel(event) {
