@@ -51,9 +51,12 @@ class Suspect:
 
 
 def suspect(kind: str, severity: Severity, magnitude: Any, message: str, remedy: str, **place: Any) -> Suspect:
-    """A suspect whose score is between half of its kind's weight and all of it, by a magnitude in 0 to 1."""
+    """A suspect whose score is between half of its kind's weight and all of it, by a magnitude in 0 to 1.
+
+    The message has no full stop at its end: an error's own text may be one, and the remedy is said after it.
+    """
     score = WEIGHTS[kind] * (0.5 + 0.5 * min(1.0, max(0.0, float(magnitude))))
-    return Suspect(kind, severity, round(score, 4), message, remedy, **place)
+    return Suspect(kind, severity, round(score, 4), message.rstrip(". "), remedy, **place)
 
 
 def ranked(suspects: Iterable[Suspect]) -> list[Suspect]:

@@ -1,8 +1,9 @@
 """Labels against their recordings: what `jiti validate-rewards --check` lists and the viewer ranks."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from jiti.annotate.labels import Labels, read_labels
 from jiti.annotate.segment_file import Recording
 from jiti.annotate.web.session import Session
 from jiti.curate.checks import find_suspects
-from jiti.curate.suspects import Suspect
+from jiti.curate.suspects import Suspect, ranked, suspect
 from jiti.episodes.episode import numbers
+from jiti.episodes.mcap_reader import McapReader
 from jiti.errors import SourceError
 
 KEPT_POINTS = 64
@@ -90,21 +92,44 @@ class Check:
 def check_labels(
     session: Session, *, gamma: float, progress: Callable[[float, str], None] = lambda _share, _what: None
 ) -> Check:
-    """Check every label against the recording as it is now: opens each labelled recording, so it takes its time."""
-    labels = read_labels(session.store.labels_dir)
+    """Check every label against the recording as it is now: opens each labelled recording, so it takes its time.
+
+    A labelled recording that is gone or cannot be opened is an error. Of one file, only its own labels are checked,
+    because the folder that it shares with other recordings holds theirs as well. Raises NewerSchema.
+    """
+    listed = [ref.episode_id for ref in session.refs()]
+    only = listed if isinstance(session.reader, McapReader) else None
+    labels = read_labels(session.store.labels_dir, episodes=only)
     known = labels.by_episode()
-    names = [ref.episode_id for ref in session.refs() if ref.episode_id in known]
+    names = [name for name in listed if name in known]
     now: dict[str, Recording] = {}
+    lost = dict.fromkeys(known.keys() - set(listed), f"there is no such recording in {session.reader.title}")
     for number, name in enumerate(names):
         progress(number / len(names), name)
         try:
             episode = session.reader.open(name)
-        except SourceError:
-            continue  # told by `jiti inspect`; its labels are still checked against each other
+        except SourceError as error:
+            lost[name] = f"it cannot be opened: {error}"
+            continue
         now[name] = Recording(episode.clock.frame_count, episode.clock.rate_hz, episode.fingerprint)
-    suspects = find_suspects(labels, recordings=now, trajectories=Trajectories(session), gamma=gamma)
+    found = find_suspects(labels, recordings=now, trajectories=Trajectories(session), gamma=gamma)
+    found = [one for one in found if one.kind != "unreadable_recording" or one.episode_id not in lost]
+    suspects = ranked([*found, *_lost_recordings(labels, lost, session.store.labels_dir)])
     accepted = int((labels.segments["status"].to_numpy() == "accepted").sum())
-    return Check(session.reader.title, len(session.refs()), len(known), accepted, tuple(suspects))
+    return Check(session.reader.title, len(listed), len(names), accepted, tuple(suspects))
+
+
+def _lost_recordings(labels: Labels, lost: Mapping[str, str], labels_dir: Path) -> Iterator[Suspect]:
+    """One for each labelled recording that is not there or does not open; `lost` says why, by episode id."""
+    names: dict[str, set[str]] = {}
+    for episode_id, annotator in zip(
+        *(labels.recordings[c].to_pylist() for c in ("episode_id", "annotator")), strict=True
+    ):
+        names.setdefault(episode_id, set()).add(annotator)
+    for episode_id, why in lost.items():
+        remedy = f"Restore the recording, or remove its labels in {labels_dir}."
+        annotator = " / ".join(sorted(names[episode_id]))
+        yield suspect("unreadable_recording", "error", 1, why, remedy, episode_id=episode_id, annotator=annotator)
 
 
 def print_check(check: Check, *, as_json: bool = False) -> None:
@@ -117,14 +142,16 @@ def print_check(check: Check, *, as_json: bool = False) -> None:
     console = Console(highlight=False)
     console.print(
         f"{check.title}: {check.labelled} of {check.episodes} episodes labelled, {check.segments} segments.",
-        highlight=False,
+        markup=False,
+        soft_wrap=True,
     )
-    for suspect in check.suspects[:SHOWN]:
-        colour = "red" if suspect.severity == "error" else "yellow"
-        frame = f"frame {suspect.start_frame}" if suspect.episode_id else ""
-        place = ", ".join(filter(None, (suspect.episode_id, frame, suspect.annotator, suspect.itc_id)))
-        console.print(f"[{colour}]{suspect.severity:<8}[/] [bold]{suspect.kind.replace('_', ' ')}[/]", end=" ")
-        console.print(f"{place}: {suspect.message}. {suspect.remedy}", markup=False, highlight=False, soft_wrap=True)
+    for one in check.suspects[:SHOWN]:
+        colour = "red" if one.severity == "error" else "yellow"
+        frame = f"frame {one.start_frame}" if one.episode_id else ""
+        place = ", ".join(filter(None, (one.episode_id, frame, one.annotator, one.itc_id)))
+        console.print(f"[{colour}]{one.severity:<8}[/] [bold]{one.kind.replace('_', ' ')}[/]", end=" ")
+        what = ": ".join(filter(None, (place, one.message)))
+        console.print(f"{what}. {one.remedy}", markup=False, soft_wrap=True)
     if len(check.suspects) > SHOWN:
         console.print(f"... and {len(check.suspects) - SHOWN} more; --json lists all.")
     warnings = len(check.suspects) - check.errors

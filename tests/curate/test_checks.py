@@ -303,7 +303,7 @@ def test_trajectories_that_cannot_be_compared() -> None:
 
     [suspect] = found(*rows, trajectories=trajectory)
     assert (suspect.kind, suspect.episode_id) == ("unreadable_recording", "gone")
-    assert suspect.message == "gone.mcap is not there. Restore it."
+    assert suspect.message == "gone.mcap is not there. Restore it"  # the remedy follows after a full stop
 
 
 def test_work_is_bounded_for_large_datasets() -> None:
