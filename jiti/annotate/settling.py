@@ -1,8 +1,8 @@
 """Where two annotators differ, and the rows that settle it.
 
-What is settled goes to the partition of `adjudicated`, whose rows stand for the whole ITC of an episode (see
-`curate.verdicts`): so the first difference that is settled there takes along what the two agree on. A row
-names the segment that it settles as its parent; "there is no such segment" is a row with status rejected.
+What is settled goes to the partition of `adjudicated`. A row there names the segment that it settles as its parent,
+which then no longer counts (see `curate.verdicts`): accepted, the row stands for it; rejected, there is no such
+segment. Each segment of a difference gets a row; all other segments of the ITC go on counting.
 """
 
 from collections.abc import Iterable, Sequence
@@ -71,19 +71,20 @@ def settle(
     difference: Difference,
     choice: Segment | None,
     adjudicated: Sequence[Segment] = (),
-    *,
-    tolerance_frames: int = TOLERANCE_FRAMES,
 ) -> tuple[list[Segment], list[str]]:
     """Rows to put into and ids to remove from `adjudicated`'s partition of the episode, in one edit.
 
-    `choice` is a's segment, b's, or a new one with what is right; None says that there is no such segment.
-    `adjudicated` are the rows that the partition holds. Raises LabelError for a choice of another episode or ITC,
-    or without a verdict.
+    `choice` is a's segment, b's, or a new one with what is right; None says that there is no such segment. Of two
+    segments, the one that is not taken is rejected. `adjudicated` are the rows that the partition holds. Raises
+    LabelError for a choice of another episode or ITC, or without a verdict.
     """
     parent = choice if choice in difference.segments else difference.segments[0]
-    if choice is None:
-        row = _row(parent, parent, status="rejected")
-    else:
+    rows = [
+        _row(one, one, status="rejected")
+        for one in difference.segments
+        if choice is None or one.segment_id != parent.segment_id
+    ]
+    if choice is not None:
         if (choice.episode_id, choice.itc_id) != (parent.episode_id, parent.itc_id):
             raise LabelError(
                 f"a difference about {parent.itc_id!r} in {parent.episode_id!r} cannot be settled by a segment of "
@@ -91,18 +92,10 @@ def settle(
             )
         if choice.reward is None:
             raise LabelError(f"segment {choice.segment_id} has no verdict; give one, pass or fail, to settle with it")
-        row = _row(choice, parent, status="accepted")
-    known = {row.parent_id for row in adjudicated}
-    agreed = [
-        one.a
-        for lane in agreement.lanes
-        if (lane.episode_id, lane.itc_id) == (parent.episode_id, parent.itc_id)
-        for one in lane.matches
-        if _kind(one, tolerance_frames) is None and not {one.a.segment_id, one.b.segment_id} & known
-    ]
+        rows.insert(0, _row(choice, parent, status="accepted"))
     about = {segment.segment_id for segment in difference.segments}
     before = [old.segment_id for old in adjudicated if old.parent_id in about]
-    return [row, *(_row(segment, segment, status="accepted") for segment in agreed)], before
+    return rows, before
 
 
 def _of_lane(lane: Lane, settled: set[str | None], tolerance_frames: int) -> list[Difference]:

@@ -11,7 +11,7 @@ from jiti.curate.returns import GAMMA, mc_returns
 from jiti.curate.rewards import FrameRewards, rewards_of
 from jiti.curate.rows import Rows
 from jiti.curate.suspects import Suspect, ranked, suspect
-from jiti.curate.verdicts import Spans, spans
+from jiti.curate.verdicts import Spans, replaced, spans
 
 CHUNK_FRAMES = 10
 """Length K of an action chunk, supplement C.4: a critic's sample does not fit into a shorter segment."""
@@ -192,7 +192,7 @@ def _flips(rows: Rows) -> Iterator[Suspect]:
 
 
 def _disagreements(rows: Rows, verdicts: Spans) -> Iterator[Suspect]:
-    """ITCs on whose verdict annotators differ for the same frames, where no one has settled it."""
+    """ITCs on whose verdict annotators differ for the same frames, except on frames where it is settled."""
     disputed = np.flatnonzero((verdicts.passes > 0) & (verdicts.fails > 0) & ~verdicts.settled)
     if not len(disputed):
         return
@@ -200,7 +200,7 @@ def _disagreements(rows: Rows, verdicts: Spans) -> Iterator[Suspect]:
     lanes = np.split(disputed, np.flatnonzero(np.diff(keys)) + 1)  # spans come by episode and ITC
     places = [(verdicts.episode_ids[verdicts.episode[s[0]]], verdicts.itc_ids[verdicts.itc[s[0]]]) for s in lanes]
     rows_of: dict[tuple[str, str], list[int]] = {place: [] for place in places}
-    for row in np.flatnonzero(rows.decided).tolist():
+    for row in np.flatnonzero(rows.decided & ~replaced(rows.table)).tolist():
         place = rows.episode_ids[rows.episode[row]], rows.itc_ids[rows.itc[row]]
         if place in rows_of:
             rows_of[place].append(row)

@@ -14,8 +14,9 @@ from jiti.annotate.names import ADJUDICATED
 from jiti.curate.rows import codes
 
 RULE = (
-    "accepted segments with a verdict; of one annotator and ITC the lower verdict; per ITC the rows of `adjudicated` "
-    "where there are any for the episode, else the majority of annotators, ties 0; per frame the minimum over ITCs"
+    "accepted segments with a verdict, without those that a row of `adjudicated` names as its parent; of one annotator "
+    "and ITC the lower verdict; per ITC the rows of `adjudicated` on the frames that they cover, else the majority of "
+    "annotators, ties 0; per frame the minimum over ITCs"
 )
 """How verdicts become rewards, in words, for the metadata of what is derived."""
 
@@ -35,7 +36,7 @@ class Spans:
     end: np.ndarray
     """Last frame, inclusive."""
     passes: np.ndarray
-    """Annotators who say satisfied; 1 or 0 where the difference is settled."""
+    """Annotators who say satisfied; 1 or 0 where it is settled."""
     fails: np.ndarray
     """Annotators who say violated."""
     settled: np.ndarray
@@ -68,21 +69,23 @@ def spans(segments: pa.Table, frame_counts: Mapping[str, int]) -> Spans:
     lanes, lane = np.unique(episode * max(1, len(itc_ids)) + itc, return_inverse=True)
     length = int(counts.max(initial=0)) + 1
     adjudicator = annotators.index(ADJUDICATED) if ADJUDICATED in annotators else -1
-    settled = np.zeros(len(lanes), bool)
-    settled[lane[known & (annotator == adjudicator) & np.isin(status, ("accepted", "rejected"))]] = True
 
     last = np.where(known, counts[np.maximum(episode, 0)], 0) - 1 if len(counts) else np.full(len(lane), -1)
     end = np.minimum(end, last)
     counted = known & (status == "accepted") & (reward >= 0) & (start <= end)
-    counted &= ~settled[lane] | (annotator == adjudicator)
+    counted &= ~replaced(segments)
     lane, annotator, reward = lane[counted], annotator[counted], reward[counted]
     first, stop = lane * length + start[counted], lane * length + end[counted] + 1
 
     edges = np.unique(np.concatenate([first, stop]))
     passes, fails = np.zeros(len(edges), np.int32), np.zeros(len(edges), np.int32)
-    for one in np.unique(annotator):
+    settled = np.zeros(len(edges), bool)
+    for one in sorted(np.unique(annotator).tolist(), key=lambda one: one == adjudicator):
         failed = _covered(first, stop, (annotator == one) & (reward == 0), edges)
         passed = _covered(first, stop, (annotator == one) & (reward == 1), edges)
+        if one == adjudicator:  # the last: the others say nothing more where it does
+            settled = passed | failed
+            passes[settled], fails[settled] = 0, 0
         fails += failed
         passes += passed & ~failed
     there = np.flatnonzero(passes + fails)
@@ -96,8 +99,20 @@ def spans(segments: pa.Table, frame_counts: Mapping[str, int]) -> Spans:
         edges[np.minimum(there + 1, len(edges) - 1)] - lane_of * length - 1,
         passes[there],
         fails[there],
-        settled[lane_of],
+        settled[there],
     )
+
+
+def replaced(segments: pa.Table) -> np.ndarray:
+    """(rows,) bool: segments of others that `adjudicated` has settled, so that its rows stand for them."""
+    if not len(segments):
+        return np.zeros(0, bool)
+    adjudicated = segments["annotator"].to_numpy() == ADJUDICATED
+    settles = adjudicated & np.isin(segments["status"].to_numpy(), ("accepted", "rejected"))
+    parents = {name for name in segments["parent_id"].filter(pa.array(settles)).to_pylist() if name is not None}
+    if not parents:
+        return np.zeros(len(segments), bool)
+    return ~adjudicated & np.isin(segments["segment_id"].to_numpy(), [*parents])
 
 
 def _covered(first: np.ndarray, stop: np.ndarray, which: np.ndarray, edges: np.ndarray) -> np.ndarray:

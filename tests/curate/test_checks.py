@@ -155,6 +155,19 @@ def test_annotators_who_disagree_until_it_is_settled() -> None:
     assert found(("anna", segment(100, 129, 1)), ("bob", segment(100, 129, 1)), *good()) == []
 
 
+def test_differences_beside_a_settled_one_stay_in_the_check() -> None:
+    first, second = segment(100, 129, 1), segment(200, 229, 1)
+    against = [segment(100, 140, 0), segment(200, 229, 0)]
+    rows = [("anna", first), ("anna", second), *(("bob", row) for row in against)]
+    assert [(s.kind, s.start_frame) for s in found(*rows)] == [("disagreement", 100)]
+    taken = segment(100, 129, 1, parent_id=first.segment_id)
+    dropped = segment(100, 140, 0, parent_id=against[0].segment_id, status="rejected")
+    rows += [("adjudicated", taken), ("adjudicated", dropped)]
+    [suspect] = found(*rows)
+    assert (suspect.kind, suspect.severity, suspect.start_frame) == ("disagreement", "error", 200)
+    assert suspect.message == "satisfied to anna, violated to bob, over 30 frames"
+
+
 def test_a_return_far_from_what_is_usual() -> None:
     rows = []
     for number in range(12):

@@ -65,16 +65,19 @@ def test_the_majority_is_taken_for_each_itc_by_itself() -> None:
     assert one(*rows)[0] == [0] * 10
 
 
-def test_what_is_settled_replaces_everyone_for_that_episode_and_itc() -> None:
+def test_what_is_settled_replaces_what_it_names_and_everyone_on_its_frames() -> None:
     rows = [
         ("anna", segment(0, 9, 0, itc_id=HOLD)),
         ("bob", segment(0, 9, 0, itc_id=HOLD)),
         ("adjudicated", segment(2, 5, 1, itc_id=HOLD)),
         ("anna", segment(4, 9, 1, itc_id=PLACE)),
     ]
-    assert one(*rows) == ([0, 0, 1, 1, 1, 1, 1, 1, 1, 1], list(range(2, 10)))
-    nothing_there = segment(0, 9, 0, itc_id=HOLD, status="rejected")  # settled: there is no such segment
-    assert one(*rows[:2], ("adjudicated", nothing_there)) == ([0] * 10, [])
+    assert one(*rows) == ([0, 0, 1, 1, 1, 1, 0, 0, 0, 0], list(range(10)))
+    parents = [row.segment_id for _, row in rows[:2]]
+    settled = [("adjudicated", segment(0, 9, 0, itc_id=HOLD, status="rejected", parent_id=name)) for name in parents]
+    assert one(*rows, *settled) == ([0, 0, 1, 1, 1, 1, 1, 1, 1, 1], list(range(2, 10)))
+    assert one(*rows[:2], *settled) == ([0] * 10, [])  # settled: there is no such segment
+    assert one(*rows[:2], settled[0]) == ([0] * 10, list(range(10)))  # bob's is still there
     elsewhere = segment(0, 3, 1, itc_id=HOLD, episode_id="other")
     found = frame_rewards(table(*rows[:2], ("adjudicated", elsewhere)), {"ep": 10, "other": 5})
     assert found.reward.tolist() == [0] * 10 + [1, 1, 1, 1, 0]
@@ -111,8 +114,15 @@ rows = st.lists(
     st.tuples(
         annotators,
         st.builds(
-            lambda start, more, reward, status, itc, episode: segment(
-                start, start + more, reward, status=status, itc_id=itc, episode_id=episode
+            lambda start, more, reward, status, itc, episode, name, parent: segment(
+                start,
+                start + more,
+                reward,
+                status=status,
+                itc_id=itc,
+                episode_id=episode,
+                segment_id=name,
+                parent_id=parent,
             ),
             st.integers(0, 12),
             st.integers(0, 8),
@@ -120,6 +130,8 @@ rows = st.lists(
             st.sampled_from(["accepted", "accepted", "accepted", "rejected", "proposed"]),
             st.sampled_from([HOLD, PLACE]),
             st.sampled_from(["a", "b", "gone"]),
+            st.sampled_from(["s1", "s2", "s3", "s4"]),
+            st.sampled_from([None, "s1", "s2"]),
         ),
     ),
     max_size=12,
@@ -130,13 +142,15 @@ def modelled(rows: list[tuple[str, Segment]], episode: str, frame: int) -> int |
     """The reward of one frame straight from the rule; None where nothing is decided."""
     verdicts = []
     for itc in (HOLD, PLACE):
+        settled = {row.parent_id for who, row in rows if who == "adjudicated" and row.status != "proposed"}
         here = [(who, row) for who, row in rows if row.episode_id == episode and row.itc_id == itc]
-        if any(who == "adjudicated" and row.status != "proposed" for who, row in here):
-            here = [(who, row) for who, row in here if who == "adjudicated"]
+        here = [(who, row) for who, row in here if who == "adjudicated" or row.segment_id not in settled]
         votes = {}
         for who, row in here:
             if row.status == "accepted" and row.reward is not None and row.start_frame <= frame <= row.end_frame:
                 votes[who] = min(row.reward, votes.get(who, 1))
+        if "adjudicated" in votes:
+            votes = {"adjudicated": votes["adjudicated"]}
         if votes:
             verdicts.append(1 if 2 * sum(votes.values()) > len(votes) else 0)
     return min(verdicts) if verdicts else None
