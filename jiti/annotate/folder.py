@@ -40,11 +40,11 @@ def aside(path: Path) -> Path:
 
 
 def annotator_dirs(labels_dir: Path) -> Iterator[tuple[str, Path]]:
-    """Annotators and the folders of their files, by name."""
+    """Annotators and the folders of their files, by name; a stray file under such a name is left alone."""
     root = segments_dir(labels_dir)
     if root.is_dir():
         for path in sorted(root.iterdir()):
-            if path.name.startswith(_PREFIX):
+            if path.name.startswith(_PREFIX) and path.is_dir():
                 yield path.name.removeprefix(_PREFIX), path
 
 

@@ -102,7 +102,10 @@ def _list(labels_dir: Path, annotators: Collection[str] | None) -> Iterator[tupl
             with os.scandir(folder) as entries:
                 found = [e for e in entries if e.name.endswith(".parquet") and not e.name.startswith((".", "_"))]
             for entry in sorted(found, key=lambda entry: entry.name):
-                status = entry.stat()
+                try:
+                    status = entry.stat()
+                except FileNotFoundError:
+                    continue  # removed since it was listed, or a link that leads nowhere
                 key = f"{annotator}/{entry.name} {status.st_size} {status.st_mtime_ns} {status.st_ino}"
                 yield annotator, entry.path, key
 

@@ -94,6 +94,15 @@ def test_a_damaged_file_is_named_and_the_rest_is_read(tmp_path: Path) -> None:
     assert read_labels(tmp_path).problems == ()
 
 
+def test_stray_files_and_dangling_links_are_passed_by(tmp_path: Path) -> None:
+    save(tmp_path, "anna", "ep", segment())
+    (tmp_path / "segments" / "annotator=zoe").write_text("no folder")
+    segments_path(tmp_path, "anna", "gone").symlink_to(tmp_path / "nowhere")
+    labels = read_labels(tmp_path)
+    assert (told(labels), labels.problems) == ([("anna", "ep", 10)], ())
+    assert labels_version(tmp_path)
+
+
 def test_a_later_schema_is_an_error(tmp_path: Path) -> None:
     save(tmp_path, "anna", "ep", segment())
     path = segments_path(tmp_path, "anna", "ep")
