@@ -35,14 +35,17 @@ def open_parquet(path: Path, label: str) -> pq.ParquetFile:
         )
     try:
         return pq.ParquetFile(path, buffer_size=READ_BUFFER_BYTES)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name or a text that is not UTF-8
         raise SourceError(f"{label}: is not a Parquet file ({_short(error)}). Download it again.") from error
 
 
 def read_columns(path: Path, label: str, columns: Sequence[str] | None, needed: Sequence[str]) -> pa.Table:
     """Read those of the columns that are there (None: all). Raises SourceError when a needed one is missing."""
     with open_parquet(path, label) as file:
-        there = set(file.schema_arrow.names)
+        try:
+            there = set(file.schema_arrow.names)
+        except (pa.ArrowException, ValueError) as error:
+            raise damaged(label, error) from error
         if missing := [name for name in needed if name not in there]:
             raise SourceError(
                 f"{label}: has no column {missing[0]!r}; it has {', '.join(sorted(there)[:12]) or 'none'}. "
@@ -50,7 +53,7 @@ def read_columns(path: Path, label: str, columns: Sequence[str] | None, needed: 
             )
         try:
             return file.read(None if columns is None else [name for name in columns if name in there])
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, OSError, ValueError) as error:
             raise damaged(label, error) from error
 
 

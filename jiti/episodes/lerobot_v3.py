@@ -51,7 +51,7 @@ class V3Table:
         table = _joined(parts, self.place)
         self.numbers = _whole(table, "episode_index", self.place)
         self.lengths = _whole(table, "length", self.place)
-        tasks = table["tasks"].to_pylist() if "tasks" in table.column_names else [None] * len(self.numbers)
+        tasks = _listed(table, "tasks", self.place) if "tasks" in table.column_names else [None] * len(self.numbers)
         self.tasks: Sequence[Any] = [[task] if isinstance(task, str) else task for task in tasks]
 
     def entry(self, at: int) -> EpisodeEntry:
@@ -124,7 +124,7 @@ def read_tasks_v3(info: DatasetInfo) -> dict[int, str]:
     table = read_columns(info.root / "meta" / "tasks.parquet", label, None, ["task_index"])
     for name in ("task", "__index_level_0__"):
         if name in table.column_names:
-            return dict(zip(table["task_index"].to_pylist(), table[name].to_pylist(), strict=True))
+            return dict(zip(table["task_index"].to_pylist(), _listed(table, name, label), strict=True))
     raise SourceError(f"{label}: has no column 'task'; it has {', '.join(table.column_names)}. Download it again.")
 
 
@@ -132,6 +132,14 @@ def _joined(parts: list[pa.Table], place: str) -> pa.Table:
     try:
         return pa.concat_tables(parts, promote_options="permissive")
     except pa.ArrowException as error:
+        raise damaged(place, error) from error
+
+
+def _listed(table: pa.Table, column: str, place: str) -> list[Any]:
+    """Texts, or lists of texts, row by row. Raises SourceError for bytes that are no text."""
+    try:
+        return table[column].to_pylist()
+    except ValueError as error:
         raise damaged(place, error) from error
 
 

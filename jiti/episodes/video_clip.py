@@ -5,7 +5,7 @@ ever moved to fill a gap: a frame that has no picture has no sample, and a Probl
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -167,7 +167,13 @@ def _copied(clip: Clip) -> Iterator[tuple[int, bytes]]:
                 continue
             key = packet.is_keyframe
             if annex_b is not None:
-                sample = b"".join(bytes(part) for part in annex_b.filter(packet))
+                try:
+                    sample = b"".join(bytes(part) for part in annex_b.filter(packet))
+                except FFmpegError as error:
+                    raise SourceError(
+                        f"{clip.label}: the video is damaged at frame {frame} ({error.strerror}). "
+                        "Record or download it again."
+                    ) from error
             else:
                 sample = bytes(packet)
                 if key and not is_key_frame("av1", sample):
@@ -243,7 +249,8 @@ def _seek(container: Any, stream: Any, clip: Clip, frame: int) -> None:
     try:
         container.seek(int(target_s / stream.time_base) + 1, stream=stream, backward=True)
     except FFmpegError:
-        container.seek(0)
+        with suppress(FFmpegError):  # the file was just opened: it stands at its beginning
+            container.seek(0)
 
 
 def _frame_at(pts: int, stream: Any, clip: Clip) -> int:
@@ -282,6 +289,11 @@ def _open(clip: Clip) -> Iterator[tuple[Any, Any]]:
             "its recording or its download was cut off. Record or download it again."
         )
     with container:
+        if container.streams.video[0].codec_context is None:
+            raise SourceError(
+                f"{clip.label}: the video is in a codec that FFmpeg cannot read, or its header is damaged. "
+                "Record or download it again."
+            )
         yield container, container.streams.video[0]
 
 

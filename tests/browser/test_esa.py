@@ -208,7 +208,7 @@ def test_keys_in_quick_succession_are_for_the_segment_that_was_just_marked(serve
     page.wait(episode="b", segments=0)
     path = tmp_path / "labels" / "segments" / "annotator=ada" / "a.parquet"
     rows = sorted(pq.ParquetFile(path).read().to_pylist(), key=lambda row: row["start_frame"])
-    assert [(r["start_frame"], r["end_frame"], r["reward"]) for r in rows] == [(0, 24, 0), (28, 53, 1), (77, 78, 0)]
+    assert [(r["start_frame"], r["end_frame"], r["reward"]) for r in rows] == [(0, 24, 0), (28, 52, 1), (80, 81, 0)]
 
 
 def test_a_click_near_an_edge_does_not_move_it_but_dragging_does(serve, screen, tmp_path: Path) -> None:

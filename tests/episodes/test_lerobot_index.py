@@ -4,9 +4,13 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from jiti.episodes.lerobot_info import load_info
 from jiti.episodes.lerobot_reader import LeRobotReader
+from jiti.episodes.lerobot_v3 import read_tasks_v3
 from jiti.errors import SourceError
 from tests.builders.lerobot import (
     FRONT,
@@ -125,3 +129,14 @@ def test_a_v21_video_that_goes_on_after_the_rows(tmp_path: Path) -> None:
     episode = LeRobotReader(root).open("episode_000001")
     assert "the video has 12 frames for episode 1, the episode has 9 rows" in said(episode)
     assert episode.streams[FRONT].count == 9
+
+
+def test_an_instruction_that_is_no_text_is_damage(root: Path) -> None:
+    path = root / "meta/tasks.parquet"
+    table = pq.read_table(path)
+    texts = (pa.string(), pa.large_string())
+    place = next(n for n in table.column_names if table.schema.field(n).type in texts)
+    bad = pa.array([b"\xff\xfe"] * len(table), pa.binary()).view(pa.string())
+    pq.write_table(table.set_column(table.column_names.index(place), place, bad).replace_schema_metadata(), path)
+    with pytest.raises(SourceError, match=r"tasks\.parquet: the file is damaged"):
+        read_tasks_v3(load_info(root))

@@ -166,3 +166,22 @@ def test_what_is_no_video_says_so(tmp_path: Path, content: bytes | None, message
     with pytest.raises(SourceError) as caught:
         scan_clip(Clip(path, "bad.mp4", 0.0, 30.0, 10))
     assert message in str(caught.value)
+
+
+def test_a_codec_that_is_not_known_says_so(videos: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "front.mp4"
+    path.write_bytes(videos["h264"].read_bytes().replace(b"avc1", b"zzzz"))
+    with pytest.raises(SourceError, match=r"front\.mp4: the video is in a codec that FFmpeg cannot read"):
+        scan_clip(clip_of(path))
+
+
+def test_samples_whose_lengths_are_wrong_are_damage(videos: dict[str, Path], tmp_path: Path) -> None:
+    clip = clip_of(videos["h264"])
+    scan = scan_clip(clip)
+    data = bytearray(clip.path.read_bytes())
+    begin = data.index(b"mdat") + 4
+    data[begin : begin + 200] = b"\x7f" * 200
+    path = tmp_path / "front.mp4"
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=r"front\.mp4: the video is damaged at frame 0"):
+        list(read_clip(clip_of(path), scan, "front", np.arange(12)))

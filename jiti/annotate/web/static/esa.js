@@ -166,16 +166,19 @@ function setVerdict(id, reward) {
   labels.change("verdict", id, (s) => (s.reward === reward ? null : { reward }));
 }
 
+let edgeSeen = null; // where an edge will be when the edits that wait are saved
 // Moves one edge, keeping start <= end and both inside the episode.
 function setEdge(id, edge, where) {
   if (!id || labels.isProposal(id)) return hint("Select one of your segments first.");
-  labels
-    .change("move edge", id, (s) => {
-      const to = clock.clamp(where(s[edge]));
-      const moved = edge === "start_frame" ? Math.min(to, s.end_frame) : Math.max(to, s.start_frame);
-      return moved === s[edge] ? null : { [edge]: moved };
-    })
-    .then((answer) => answer && seek(labels.get(id)?.[edge] ?? frame));
+  const move = (s) => {
+    const to = clock.clamp(where(s[edge]));
+    return edge === "start_frame" ? Math.min(to, s.end_frame) : Math.max(to, s.start_frame);
+  };
+  // The picture follows at once; the edge is worked out again when the edits before this one are saved.
+  const seen = labels.get(id);
+  if (seen) seek(move(edgeSeen?.segment_id === id && labels.line.waiting ? { ...seen, [edge]: edgeSeen[edge] ?? seen[edge] } : seen));
+  edgeSeen = seen ? { segment_id: id, [edge]: frame } : null;
+  labels.change("move edge", id, (s) => (move(s) === s[edge] ? null : { [edge]: move(s) }));
 }
 
 function snap() {

@@ -48,12 +48,12 @@ export class Keys {
     return this.actions.find((action) => this.keysOf(action).includes(name));
   }
 
-  // Where a person types, or a dialog is open, keys are theirs. Rerun's hidden text field is not one of those.
+  // Where a person types, or a dialog is open, keys are theirs. Rerun puts a hidden text field on the page, which may
+  // have the focus: it is not one of those, wherever it stands.
   #ours(event) {
-    const target = event.target;
-    if (target instanceof Element && target.closest("#viewer")) return true;
     if (document.querySelector("dialog[open]")) return false;
-    return !(target instanceof Element && target.closest("input, textarea, select"));
+    const field = event.target instanceof Element && event.target.closest("input, textarea, select");
+    return !field?.closest("header, nav, aside");
   }
 
   #down(event) {
