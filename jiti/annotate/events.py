@@ -89,14 +89,6 @@ def find_events(episode: Episode) -> Events:
     return _merged(found, clock.rate_hz)
 
 
-def nearest_event(
-    events: Iterable[Event], frame: int, kinds: Sequence[EventKind] | None = None, within_frames: int = 10
-) -> Event | None:
-    """The event to which an edge at `frame` snaps: nearest first, then sharper; None when none is within reach."""
-    near = [e for e in events if abs(e.frame - frame) <= within_frames and (kinds is None or e.kind in kinds)]
-    return min(near, key=lambda e: (abs(e.frame - frame), -e.sharpness, e.frame), default=None)
-
-
 def _read(episode: Episode, channels: Iterable[Channel]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Times (N,) and values (N, size) of the streams that the channels name, from one pass."""
     wanted = list(dict.fromkeys(channel.stream for channel in channels))

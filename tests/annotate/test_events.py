@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jiti.annotate.channels import find_channels, words
-from jiti.annotate.events import Event, find_events, nearest_event, turning_points
+from jiti.annotate.events import Event, find_events, turning_points
 from jiti.episodes.reader import open_reader
 from tests.builders.numbers import Numbers, NumbersEpisode
 
@@ -169,19 +169,6 @@ def test_turning_points_alternate_and_differ_by_the_swing(values, swing):
     assert pivots == sorted(set(pivots))
     # Nothing is missed: a whole span of twice the swing cannot pass without a turning point.
     assert pivots or np.ptp(signal) < 2 * swing
-
-
-def test_the_nearest_event_within_reach_and_of_a_kind():
-    events = (
-        Event(10, "velocity_zero", "s", 0.2),
-        Event(20, "gripper_close", "s", 0.9),
-        Event(30, "velocity_zero", "s", 0.9),
-    )
-    assert nearest_event(events, 14, within_frames=10) == events[0]
-    assert nearest_event(events, 15, within_frames=10) == events[1]  # as near, but sharper
-    assert nearest_event(events, 14, ("gripper_close",), within_frames=10) == events[1]
-    assert nearest_event(events, 14, ("gripper_close",), within_frames=5) is None
-    assert nearest_event((), 14) is None
 
 
 def test_names_are_read_as_words():

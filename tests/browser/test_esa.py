@@ -202,9 +202,8 @@ def test_keys_in_quick_succession_are_for_the_segment_that_was_just_marked(serve
     write_mcap(tmp_path / "a.mcap", duration_s=10)
     write_mcap(tmp_path / "b.mcap", duration_s=10)
     page = screen(serve("annotate", ".", "--annotator", "ada").url).wait(frame=0)
-    page.press(
-        "w", "f", *["Shift+ArrowRight"] * 4, "w", "p", ".", *["Shift+ArrowRight"] * 4, "i", "ArrowRight", "o", "f", "n"
-    )
+    far = ["Shift+ArrowRight"] * 4
+    page.press("w", "f", *far, "w", "p", *far, "i", "ArrowRight", "o", "f", "n")
     page.wait(episode="b", segments=0)
     path = tmp_path / "labels" / "segments" / "annotator=ada" / "a.parquet"
     rows = sorted(pq.ParquetFile(path).read().to_pylist(), key=lambda row: row["start_frame"])
