@@ -3,7 +3,7 @@
 Everything is found on the frames of the episode's clock, so that an event's frame is one that can be shown and marked.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal

@@ -4,7 +4,6 @@ import struct
 import zlib
 from dataclasses import dataclass, field
 
-import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
@@ -29,7 +28,6 @@ from jiti.episodes.mcap_records import (
 )
 
 FOOTER_BYTES = RECORD.size + 20
-INDEX_OFFSETS = np.dtype([("channel", "<u2"), ("offset", "<u8")])
 INDEX_HEAD = struct.Struct("<QQQQI")
 """Of a chunk index: first and last log time, offset and length of the chunk, length of the map that follows."""
 MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")

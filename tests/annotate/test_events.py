@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jiti.annotate.channels import find_channels, words
-from jiti.annotate.events import Event, find_events, turning_points
+from jiti.annotate.events import find_events, turning_points
 from jiti.episodes.reader import open_reader
 from tests.builders.numbers import Numbers, NumbersEpisode
 
