@@ -44,7 +44,7 @@ class Trajectories:
             _, values = numbers(episode, min(named, key=lambda name: rank[name]))
             rows = np.linspace(0, len(values) - 1, min(KEPT_POINTS, len(values))).astype(int)
             self._known[episode_id] = values[rows].astype(np.float32)
-            # Arrow's metadata of a Parquet file is part of a cycle: megabytes an episode that Python would keep for long.
+            # Arrow's metadata of a Parquet file is in a cycle: megabytes an episode, which Python would keep for long.
             gc.collect(1)
         return self._known[episode_id]
 
