@@ -157,7 +157,8 @@ def _one_sided(rows: Rows) -> Iterator[Suspect]:
 
 def _flips(rows: Rows) -> Iterator[Suspect]:
     """Opposite verdicts of one annotator on one ITC, on the same frames or a few frames apart."""
-    order = np.lexsort((rows.start, rows.lane))
+    # To the last tie, so that the order of the rows changes nothing.
+    order = np.lexsort((rows.reward, rows.end, rows.start, rows.lane))
     order = order[rows.decided[order]]
     lane, end, reward = rows.lane[order], rows.end[order], rows.reward[order]
     far = int(rows.end.max(initial=0)) + 1

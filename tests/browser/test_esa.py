@@ -51,7 +51,7 @@ def page_rows(screen: Screen) -> list[dict]:
 
 def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> None:
     server = serve("annotate", "episode.mcap", "--annotator", "ada")
-    page = screen(server.url).wait(frame=0, version=0)
+    page = screen(server.url).ready().wait(frame=0, version=0)
     page.press("Shift+ArrowRight", "Shift+ArrowRight", "i").wait(frame=20, mark=20)
     page.press(*["Shift+ArrowRight"] * 3, "o").wait(segments=1, version=1)
     page.press("p").wait(version=2)
@@ -69,7 +69,7 @@ def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> N
     assert [row["reward"] for row in before] == [1, 0] or [row["reward"] for row in before] == [0, 1]
     assert parquet_rows(folder, "ada") == before
 
-    page.reload().wait(version=10, segments=2)
+    page.reload().ready().wait(version=10, segments=2)
     assert page_rows(page) == before
 
     page.press("j", "x").wait(version=11, segments=1)
@@ -77,7 +77,7 @@ def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> N
     server.kill()
     assert parquet_rows(folder, "ada") == before
     server.start()
-    page.open(server.url).wait(version=11, segments=1)
+    page.open(server.url).ready().wait(version=11, segments=1)
     assert page_rows(page) == before
     page.press("z").wait(version=12, segments=2)
     assert parquet_rows(folder, "ada") == page_rows(page)
@@ -86,9 +86,7 @@ def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> N
 
 def test_two_annotators_at_the_same_time_lose_nothing(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", duration_s=10)
-    pages = {name: screen(serve("annotate", ".", "--annotator", name).url) for name in ("ada", "ben")}
-    for page in pages.values():
-        page.wait(frame=0)
+    pages = {name: screen(serve("annotate", ".", "--annotator", name).url).ready() for name in ("ada", "ben")}
     for k in range(3):
         for name, page in pages.items():
             page.press("Shift+ArrowRight", "w").wait(segments=k + 1)
@@ -100,12 +98,12 @@ def test_two_annotators_at_the_same_time_lose_nothing(serve, screen, tmp_path: P
 def test_a_second_tab_is_told_what_changed(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", duration_s=10)
     first, second = (serve("annotate", ".", "--annotator", "ada") for _ in range(2))
-    page = screen(first.url).wait(frame=0)
-    other = screen(second.url).wait(frame=0)
+    page = screen(first.url).ready().wait(frame=0)
+    other = screen(second.url).ready().wait(frame=0)
     other.page.route("**/api/version*", lambda route: route.abort())  # as when the tab was asleep
     page.press("w").wait(version=1)
     other.press("w")
-    other.until(lambda: "mark window" in other.page.inner_text("#alert"), lambda: "the refusal")
+    other.until(lambda: "mark window" in other.page.inner_text("#alert"), lambda: f"the refusal; {other.state}")
     other.wait(version=1, segments=1)
     other.press("w").wait(version=2, segments=2)
     assert len(parquet_rows(tmp_path, "ada")) == 2
@@ -138,7 +136,7 @@ def test_proposals_are_accepted_edited_and_rejected(serve, screen, tmp_path: Pat
     task_itc = _itc_of("put the bowl on the plate")
     rows = [Segment.from_row({**p.to_row(), "itc_id": task_itc}) for p in proposals(3)]
     _propose(tmp_path / "labels", rows)
-    page = screen(serve("annotate", ".", "--annotator", "ada").url).wait(proposals=3, segments=0)
+    page = screen(serve("annotate", ".", "--annotator", "ada").url).ready().wait(proposals=3, segments=0)
     assert parquet_rows(tmp_path, "ada") == []
 
     page.press("q").wait(selected=rows[0].segment_id, frame=0)  # the least sure comes first
@@ -201,7 +199,7 @@ def test_hold_to_label_while_playing_and_loop(serve, screen, tmp_path: Path) -> 
 def test_keys_in_quick_succession_are_for_the_segment_that_was_just_marked(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "a.mcap", duration_s=10)
     write_mcap(tmp_path / "b.mcap", duration_s=10)
-    page = screen(serve("annotate", ".", "--annotator", "ada").url).wait(frame=0)
+    page = screen(serve("annotate", ".", "--annotator", "ada").url).ready().wait(frame=0)
     far = ["Shift+ArrowRight"] * 4
     page.press("w", "f", *far, "w", "p", *far, "i", "ArrowRight", "o", "f", "n")
     page.wait(episode="b", segments=0)
@@ -212,7 +210,7 @@ def test_keys_in_quick_succession_are_for_the_segment_that_was_just_marked(serve
 
 def test_a_click_near_an_edge_does_not_move_it_but_dragging_does(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", duration_s=10)
-    page = screen(serve("annotate", ".").url).wait(frame=0)
+    page = screen(serve("annotate", ".").url).ready().wait(frame=0)
     page.press(*["Shift+ArrowRight"] * 10, "w").wait(version=1)  # frames 88 to 112 of 300
     box = page.page.locator("#lane-canvas").bounding_box()
     x, y = box["x"] + box["width"] * 113 / 300, box["y"] + 20 + 14 + 12
@@ -248,12 +246,12 @@ def test_edges_snap_to_the_gripper(serve, screen, tmp_path: Path) -> None:
 def test_a_key_is_remapped_for_good(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", duration_s=4)
     server = serve("annotate", ".")
-    page = screen(server.url).wait(frame=0)
+    page = screen(server.url).ready().wait(frame=0)
     page.press("?")
     page.page.click("[data-action=window]")
     page.press("g").press("Escape")
     page.press("g").wait(version=1)
-    page.reload().wait(version=1).press("w", "g").wait(version=2)
+    page.reload().ready().wait(version=1).press("w", "g").wait(version=2)
 
 
 def _itc_of(instruction: str) -> str:
