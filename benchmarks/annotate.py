@@ -18,7 +18,7 @@ import opening
 import rewards
 import saving
 from bench import Bench
-from machine import busy_percent, describe
+from machine import OtherWork, describe, wait_for_calm
 from report import Line, figure, show
 from rich.console import Console
 
@@ -35,13 +35,14 @@ def main() -> None:
     lines: list[Line] = []
     start = time.monotonic()
     for name in asked.only or BENCHMARKS:
-        busy = busy_percent()
-        console.print(f"{name} ({busy:.0f}% busy before)", markup=False, highlight=False)
-        for line in BENCHMARKS[name].measure(bench):
-            lines.append(replace(line, busy_percent=busy))
-            console.print(
-                f"  {line.what}: {figure(line.measured, line.unit)} {line.outcome}", markup=False, highlight=False
-            )
+        wait_for_calm(asked.calm)
+        console.print(name)
+        with OtherWork() as others:
+            found = list(BENCHMARKS[name].measure(bench))
+        for line in found:
+            said = f"  {line.what}: {figure(line.measured, line.unit)} {line.outcome}"
+            console.print(said, markup=False, highlight=False)
+        lines += [replace(line, others_percent=others.percent) for line in found]
     machine["took"] = f"{time.monotonic() - start:.0f} s"
     show(lines, machine, quick=asked.quick, console=Console(width=None if sys.stdout.isatty() else 170))
     if asked.json:
@@ -56,6 +57,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here as well")
     default = Path(tempfile.gettempdir()) / "jiti-benchmarks"
     parser.add_argument("--folder", type=Path, default=default, help="where recordings are kept (default: %(default)s)")
+    calm = "wait at most so long before each benchmark until others leave the machine alone (default: %(default)s)"
+    parser.add_argument("--calm", type=float, default=0.0, metavar="SECONDS", help=calm)
     return parser.parse_args()
 
 

@@ -2,15 +2,21 @@
 
 import os
 import platform
+import resource
 import shutil
 import subprocess
 import sys
+import time
 from importlib.metadata import version
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import psutil
 
 PACKAGES = ("jiti", "rerun-sdk", "av", "pyarrow", "numpy", "mcap", "starlette", "uvicorn", "typer", "playwright")
+
+CALM_PERCENT, CALM_S = 15.0, 5.0
 
 
 def describe(folder: Path) -> dict[str, str]:
@@ -26,9 +32,33 @@ def describe(folder: Path) -> dict[str, str]:
     }
 
 
-def busy_percent(interval_s: float = 1.0) -> float:
-    """Share of all cores that is in use while this process waits."""
-    return psutil.cpu_percent(interval_s)
+class OtherWork:
+    """How much of the cores work that is not ours takes, from `with` to its end."""
+
+    def __enter__(self) -> Self:
+        self._start = _times_s()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        everything_s, ours_s, idle_s = (end - start for end, start in zip(_times_s(), self._start, strict=True))
+        self.percent = 100 * max(0.0, everything_s - ours_s) / max(1e-9, everything_s + idle_s)
+
+
+def _times_s() -> tuple[float, float, float]:
+    """CPU seconds so far: of the whole machine, of this process and its ended children, and idle."""
+    cpu = psutil.cpu_times()
+    used_s = cpu.user + cpu.nice + cpu.system + cpu.irq + cpu.softirq + cpu.steal
+    ours = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return used_s, sum(one.ru_utime + one.ru_stime for one in ours), cpu.idle + cpu.iowait
+
+
+def wait_for_calm(patience_s: float) -> None:
+    """Wait until other work takes less than `CALM_PERCENT` of all cores, but not for ever."""
+    end = time.monotonic() + patience_s
+    while time.monotonic() < end and psutil.cpu_percent(CALM_S) > CALM_PERCENT:
+        pass
 
 
 def chromium() -> str | None:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
+from statistics import median
 
 from bench import Bench, interleaved
 from machine import command
@@ -58,7 +59,7 @@ def measure(bench: Bench) -> Iterator[Line]:
                     return run
 
                 peers = interleaved(times, convert=told(convert), warm=told(warm), cold=told(cold))["convert"]
-    peer = sorted(peers)[len(peers) // 2]
+    peer = median(peers)
     megabytes = f"{path.stat().st_size / 1e6:.0f} MB"
     yield timed(NAME, f"peer: rerun mcap convert, {megabytes}", peers)
     against = {"limit": LIMIT, "peer": peer}

@@ -26,8 +26,8 @@ class Line:
     least: float | None = None
     most: float | None = None
     note: str = ""
-    busy_percent: float | None = None
-    """Share of all cores that other work took just before the benchmark."""
+    others_percent: float | None = None
+    """Share of all cores that other work took during the benchmark; the more, the less the figure says."""
 
     @property
     def ratio(self) -> float | None:
@@ -72,7 +72,7 @@ def show(lines: Sequence[Line], machine: dict[str, str], *, quick: bool, console
     table = Table(title=title, title_justify="left", show_lines=False)
     for name in ("benchmark", "what"):
         table.add_column(name)
-    for name in ("target", "measured", "least - most", "ratio", "N", "busy"):
+    for name in ("target", "measured", "least - most", "ratio", "N", "others"):
         table.add_column(name, justify="right")
     table.add_column("outcome")
     last = ""
@@ -85,8 +85,10 @@ def show(lines: Sequence[Line], machine: dict[str, str], *, quick: bool, console
     for line in lines:
         if line.note:
             console.print(f"  {line.benchmark}, {line.what}: {line.note}.", markup=False, highlight=False)
-    console.print("Ratio: to the peer where the target is a multiple of it, else to the target. Busy: other work just")
-    console.print("before the benchmark, share of all cores. All files are in the page cache unless a note says other.")
+    console.print(
+        "Ratio: to the peer where the target is a multiple of it, else to the target. Others: share of all cores"
+    )
+    console.print("that work which is not the benchmark's took meanwhile. All files are in the page cache.")
     for name, value in machine.items():
         console.print(f"  {name}: {value}", markup=False, highlight=False)
 
@@ -102,5 +104,5 @@ def _cells(line: Line) -> Iterator[str]:
     yield f"{figure(line.least, line.unit)} - {figure(line.most, line.unit)}" if spread else ""
     yield "" if line.ratio is None else f"{line.ratio:.2f}x"
     yield str(line.count)
-    yield "" if line.busy_percent is None else f"{line.busy_percent:.0f}%"
+    yield "" if line.others_percent is None else f"{line.others_percent:.0f}%"
     yield {"pass": "[green]pass[/]", "FAIL": "[bold red]FAIL[/]"}.get(line.outcome, line.outcome)
