@@ -88,6 +88,8 @@ def validate_rewards(
         raise UsageError("--check, --write and --agreement A B are three commands: pass one of them.")
     if as_json and not (check or agreement):
         raise UsageError("--json needs --check or --agreement A B.")
+    if labels is not None and not labels.exists() and (check or write or agreement):
+        raise UsageError(f"--labels {labels} does not exist: there is nothing to check.")
     session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)
     if agreement:
         from jiti.annotate.agreement import compare_labels, print_agreement

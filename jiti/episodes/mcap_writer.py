@@ -38,13 +38,14 @@ class McapWriter:
 
     def __init__(
         self,
-        path: Path,
+        path: Path | str,
         *,
         instruction: str | None = None,
         metadata: Mapping[str, str] | None = None,
         overwrite: bool = False,
     ) -> None:
         """Raises UsageError when `path` exists and is not to be overwritten."""
+        path = Path(path)
         if path.exists() and not overwrite:
             raise UsageError(f"{path} exists already. Choose another name for the recording, or delete that one first.")
         make_folder(path.parent)

@@ -14,7 +14,7 @@ from jiti.annotate.web.proxy import Proxy
 from jiti.annotate.web.recording import needs_transcoding
 from jiti.episodes.episode import Episode, EpisodeReader, EpisodeRef
 from jiti.episodes.reader import open_reader
-from jiti.errors import SourceError
+from jiti.errors import SourceError, UsageError
 from jiti.tasks.catalogue import Catalogue, load_catalogue
 from jiti.tasks.task import Task
 
@@ -99,6 +99,8 @@ def open_session(
 ) -> Session:
     """What `jiti annotate` and `jiti validate-rewards` work on. Raises JitiError when any part is wrong."""
     reader = open_reader(source)
+    if labels is not None and labels.exists() and not labels.is_dir():
+        raise UsageError(f"--labels {labels} is a file; it must be a folder, which need not exist yet.")
     beside = Path(reader.labels_dir).parent / TASKS_FILE
     files = list(tasks or ()) or ([beside] if beside.is_file() else [])
     session = Session(

@@ -212,6 +212,9 @@ function step(direction) {
 // A verdict given to a proposal takes it over with that verdict. What is taken over is selected at once.
 async function decide(id, decision, verdict = {}) {
   if (!labels.isProposal(id)) return hint("Select a proposal first.");
+  if (decision === "accept" && labels.get(id).reward === null) {
+    return hint(`It has no verdict: ${keys.hintFor("pass")} takes it over as pass, ${keys.hintFor("fail")} as fail.`);
+  }
   const row = uuid7();
   if (decision === "edit") selected = row;
   const answer = await labels.decide(id, decision, { segment_id: row, ...verdict });
@@ -279,7 +282,7 @@ const keys = new Keys(
     { id: "start-here", group: "Segment", label: "Start at this frame", keys: ["I"], run: () => setEdge(selected, "start_frame", () => frame) },
     { id: "end-here", group: "Segment", label: "End at this frame", keys: ["O"], run: () => setEdge(selected, "end_frame", () => frame) },
     { id: "snap", group: "Segment", label: "Snap the nearer edge to an event", keys: ["s"], run: snap },
-    { id: "note", group: "Segment", label: "Write a note (Esc to leave)", keys: ["t"], run: () => inspector.focusNote() },
+    { id: "note", group: "Segment", label: "Write a note (Esc to leave)", keys: ["t"], run: () => (current() ? inspector.focusNote() : hint("Select one of your segments first.")) },
     { id: "delete", group: "Segment", label: "Delete", keys: ["Delete", "x", "Backspace"], run: onSelected(remove) },
     { id: "undo", group: "Edits", label: "Undo", keys: ["Ctrl+z", "z"], run: () => labels.undo() },
     { id: "redo", group: "Edits", label: "Redo", keys: ["Ctrl+Shift+z", "Z", "Ctrl+y"], run: () => labels.redo() },
