@@ -52,7 +52,10 @@ def measure(bench: Bench) -> Iterator[Line]:
                 time.sleep(3)
                 again.append(_until_drawn(browser, server.url, time.perf_counter()))
         browser.close()
-    drawn = "Chromium runs already, a new profile each time, drawing in software (SwiftShader) on the cores below"
+    drawn = (
+        "Chromium runs already, a new profile each time, drawing in software (SwiftShader) on the cores below; "
+        "of its own work, a part counts as that of others"
+    )
     yield timed(NAME, "server and recording open: page to picture", running, note=drawn)
     yield timed(NAME, "server up for 3 s: page to picture", again)
     yield timed(NAME, "from nothing: `jiti annotate` to picture", nothing)
