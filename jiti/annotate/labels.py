@@ -22,6 +22,8 @@ from jiti.errors import LabelError, NewerSchema
 
 _THREADS = 2
 """Our choice: half of the time to read a small file is spent in Python; more threads wait for each other."""
+_BATCH = 250
+"""Files whose rows are joined as soon as they are read. Measured: keeping 11,000 small tables at once costs a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +78,11 @@ def read_labels(
 
     known = [kept.index.get(key, -1) for _, _, key in files]
     unread = [position for position, index in enumerate(known) if index < 0]
-    read, problems = _read_all([files[position][1] for position in unread])
-    fresh = [(unread[number], *result) for number, result in read.items()]
-    all_rows = _joined(_moved(kept.rows, known), _rows(fresh))
-    all_recordings = _joined(_moved(kept.recordings, known), _recordings(fresh))
+    fresh = _read_all([(position, files[position][1]) for position in unread])
+    all_rows = _joined(_moved(kept.rows, known), fresh.rows)
+    all_recordings = _joined(_moved(kept.recordings, known), fresh.recordings)
     if annotators is None and len(files) >= labels_cache.WORTH_FILES and len(unread) >= labels_cache.WORTH_CHANGES:
-        failed = set(unread) - {position for position, _, _ in fresh}
+        failed = set(unread) - set(fresh.positions)
         keys = ["" if position in failed else key for position, (_, _, key) in enumerate(files)]
         labels_cache.save(cache, keys, all_rows, all_recordings)
 
@@ -92,7 +93,7 @@ def read_labels(
         segments, about = (
             t.filter(pa.array(np.isin(t["episode_id"].to_numpy(), [*episodes]))) for t in (segments, about)
         )
-    return Labels(segments, about.cast(RECORDINGS), problems)
+    return Labels(segments, about.cast(RECORDINGS), fresh.problems)
 
 
 def _list(labels_dir: Path, annotators: Collection[str] | None) -> Iterator[tuple[str, str, FileKey]]:
@@ -110,31 +111,46 @@ def _list(labels_dir: Path, annotators: Collection[str] | None) -> Iterator[tupl
                 yield annotator, entry.path, key
 
 
-def _read_all(paths: list[str]) -> tuple[dict[int, tuple[pa.Table, FileInfo]], tuple[Problem, ...]]:
-    """What the files hold, by their place in `paths`, and those that cannot be read."""
-    problems: list[Problem] = []
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What some of the files hold; `file` is a file's position in the list of all."""
 
-    def read_slice(first: int) -> dict[int, tuple[pa.Table, FileInfo]]:
-        read = {}
-        for number in range(first, len(paths), _THREADS):
-            try:
-                read[number] = decode(Path(paths[number]))
-            except FileNotFoundError:
-                continue  # removed since it was listed
-            except NewerSchema:
-                raise
-            except (LabelError, OSError) as error:
-                remedy = (
-                    "It is left out; open the episode in `jiti annotate`, which rebuilds the file from its history."
-                )
-                problems.append(Problem(paths[number], str(error), remedy, "error"))
-        return read
+    positions: tuple[int, ...]
+    rows: pa.Table
+    recordings: pa.Table
+    problems: tuple[Problem, ...]
+
+
+def _read_all(files: list[tuple[int, str]]) -> _Read:
+    """Rows and recordings of files, given by position and path, in their order; and those that cannot be read."""
 
     # A slice for each thread, not a task for each file: handing over a task costs as much as reading a file.
+    def read_slice(first: int) -> list[_Read]:
+        mine = files[first::_THREADS]
+        return [_read_batch(mine[start : start + _BATCH]) for start in range(0, len(mine), _BATCH)]
+
     with ThreadPoolExecutor(_THREADS) as pool:
-        slices = list(pool.map(read_slice, range(_THREADS)))
-    read = {number: result for part in slices for number, result in part.items()}
-    return dict(sorted(read.items())), tuple(sorted(problems, key=lambda problem: problem.where))
+        parts = [part for slices in pool.map(read_slice, range(_THREADS)) for part in slices]
+    rows = _joined(*(part.rows for part in parts)) if parts else ROWS.empty_table()
+    recordings = _joined(*(part.recordings for part in parts)) if parts else RECORDINGS_IN_FILE.empty_table()
+    problems = sorted((problem for part in parts for problem in part.problems), key=lambda problem: problem.where)
+    return _Read(tuple(p for part in parts for p in part.positions), rows, recordings, tuple(problems))
+
+
+def _read_batch(files: list[tuple[int, str]]) -> _Read:
+    read: list[tuple[int, pa.Table, FileInfo]] = []
+    problems: list[Problem] = []
+    for position, path in files:
+        try:
+            read.append((position, *decode(Path(path))))
+        except FileNotFoundError:
+            continue  # removed since it was listed
+        except NewerSchema:
+            raise
+        except (LabelError, OSError) as error:
+            remedy = "It is left out; open the episode in `jiti annotate`, which rebuilds the file from its history."
+            problems.append(Problem(path, str(error), remedy, "error"))
+    return _Read(tuple(position for position, _, _ in read), _rows(read), _recordings(read), tuple(problems))
 
 
 def _moved(table: pa.Table, known: list[int]) -> pa.Table:
@@ -165,9 +181,9 @@ def _recordings(fresh: list[tuple[int, pa.Table, FileInfo]]) -> pa.Table:
     return pa.table(list(columns), schema=RECORDINGS_IN_FILE)
 
 
-def _joined(kept: pa.Table, fresh: pa.Table) -> pa.Table:
-    """Both, in the order of files."""
-    table = pa.concat_tables([kept.cast(fresh.schema), fresh]).combine_chunks()
+def _joined(*tables: pa.Table) -> pa.Table:
+    """All of them, in the order of files."""
+    table = pa.concat_tables(tables).combine_chunks()
     position = table["file"].to_numpy()
     if (np.diff(position) >= 0).all():
         return table
