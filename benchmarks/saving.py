@@ -70,7 +70,7 @@ def _over_http(server: Server, episode_id: str, labels_dir: Path) -> tuple[Calla
         put = [_fields(n, itcs[n % len(itcs)], last) for n in range(first, first + AT_ONCE)]
         body = {"action": "mark", "put": put, "remove": [], "based_on": version}
         answer = json.loads(server.post(f"{where}/edits", body))
-        version, rows = answer["version"], answer["segments"]
+        version, rows = answer["version"], rows + answer["changed"]
     if len(rows) != SEGMENTS:
         raise RuntimeError(f"{len(rows)} segments were saved, not {SEGMENTS}")
     draw = random.Random(0)

@@ -6,7 +6,7 @@ from typing import Any
 from starlette.requests import Request
 from starlette.routing import Route
 
-from jiti.annotate.partition import Partition
+from jiti.annotate.partition import Partition, View
 from jiti.annotate.proposals import accept, edit, reject
 from jiti.annotate.segments import Segment, new_segment_id
 from jiti.annotate.web.answers import endpoint, take, take_texts
@@ -30,17 +30,24 @@ def label_routes(session: Session) -> list[Route]:
         mine = {s.segment_id: s for s in partition.segments}
         task = session.task(episode)
         put = [row_of(fields, mine, episode_id, episode.clock, task) for fields in take(body, "put", list, [])]
-        remove = take_texts(body, "remove")
-        partition.apply(take(body, "action", str), put, remove, based_on=take(body, "based_on", int))
-        return rows(session, episode_id)
+        remove, action, based_on = take_texts(body, "remove"), take(body, "action", str), take(body, "based_on", int)
+        known = partition.view
+        partition.apply(action, put, remove, based_on=based_on)
+        return changes(session, episode_id, known, based_on)
 
     def undo(request: Request, body: dict) -> dict[str, Any]:
-        session.partition(request.path_params["episode_id"]).undo(based_on=take(body, "based_on", int))
-        return rows(session, request.path_params["episode_id"])
+        episode_id, based_on = request.path_params["episode_id"], take(body, "based_on", int)
+        partition = session.partition(episode_id)
+        known = partition.view
+        partition.undo(based_on=based_on)
+        return changes(session, episode_id, known, based_on)
 
     def redo(request: Request, body: dict) -> dict[str, Any]:
-        session.partition(request.path_params["episode_id"]).redo(based_on=take(body, "based_on", int))
-        return rows(session, request.path_params["episode_id"])
+        episode_id, based_on = request.path_params["episode_id"], take(body, "based_on", int)
+        partition = session.partition(episode_id)
+        known = partition.view
+        partition.redo(based_on=based_on)
+        return changes(session, episode_id, known, based_on)
 
     def decide(request: Request, body: dict) -> dict[str, Any]:
         episode_id, segment_id = request.path_params["episode_id"], request.path_params["segment_id"]
@@ -58,8 +65,9 @@ def label_routes(session: Session) -> list[Route]:
         else:
             raise LabelError(f"decision is {decision!r}; it must be accept, edit or reject.")
         row = replace(row, segment_id=take(body, "segment_id", str, None) or row.segment_id)
-        partition.apply(f"{decision} proposal", [row], [], based_on=take(body, "based_on", int))
-        return {**rows(session, episode_id), "segment_id": row.segment_id}
+        known, based_on = partition.view, take(body, "based_on", int)
+        partition.apply(f"{decision} proposal", [row], [], based_on=based_on)
+        return {**changes(session, episode_id, known, based_on), "segment_id": row.segment_id}
 
     one = "/api/episodes/{episode_id}"
     return [
@@ -73,11 +81,33 @@ def label_routes(session: Session) -> list[Route]:
 
 def rows(session: Session, episode_id: str) -> dict[str, Any]:
     """What the page shows of an episode's labels: own rows, waiting proposals, version, what can be undone."""
-    partition: Partition = session.partition(episode_id)
+    partition = session.partition(episode_id)
     view = partition.view  # all of one moment, whoever saves meanwhile
+    return {"segments": [s.to_row() for s in view.segments], **_beside_rows(session, partition, view)}
+
+
+def changes(session: Session, episode_id: str, known: View, based_on: int) -> dict[str, Any]:
+    """As `rows`, to a page that knows version `based_on`: only rows that are new or `changed`, and `removed` ids.
+
+    An answer with all of 500 rows took longer than to make the edit durable. Where `known` is of another version, all
+    rows go.
+    """
+    if known.version != based_on:
+        return rows(session, episode_id)
+    partition = session.partition(episode_id)
+    view = partition.view
+    before = {s.segment_id: s for s in known.segments}
+    changed = [s for s in view.segments if before.pop(s.segment_id, None) is not s]
+    return {
+        "changed": [s.to_row() for s in changed],
+        "removed": [*before],
+        **_beside_rows(session, partition, view),
+    }
+
+
+def _beside_rows(session: Session, partition: Partition, view: View) -> dict[str, Any]:
     return {
         "version": view.version,
-        "segments": [s.to_row() for s in view.segments],
         "proposals": [p.to_row() for p in waiting(session.store.labels_dir, partition)],
         "can_undo": view.can_undo,
         "can_redo": view.can_redo,

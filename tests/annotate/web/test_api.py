@@ -44,11 +44,41 @@ def test_an_episode_tells_its_clock_and_its_task(api: TestClient) -> None:
 def test_the_server_works_out_times_and_criterion(api: TestClient, session: Session) -> None:
     answer = put(api)
     assert answer.status_code == 200, answer.text
-    row = answer.json()["segments"][0]
+    row = answer.json()["changed"][0]
     clock = session.episode("episode").clock
     assert (row["start_ns"], row["end_ns"]) == (int(clock.frame_ns[3]), int(clock.frame_ns[9]))
     assert row["criterion"] == "target_pose_accuracy"
     assert (row["source"], row["status"]) == ("human", "accepted")
+
+
+def test_a_page_that_takes_over_what_each_answer_changed_holds_what_the_server_holds(api: TestClient) -> None:
+    held, version = {}, 0
+
+    def send(path: str, **body) -> None:
+        nonlocal version
+        answer = api.post(f"/api/episodes/episode/{path}", json={"based_on": version, **body}).json()
+        for segment_id in answer["removed"]:
+            del held[segment_id]
+        held.update({row["segment_id"]: row for row in answer["changed"]})
+        version = answer["version"]
+        now = api.get("/api/episodes/episode/rows").json()
+        assert now["version"] == version
+        assert held == {row["segment_id"]: row for row in now["segments"]}
+
+    itc_id = api.get("/api/episodes/episode").json()["task"]["itcs"][0]["itc_id"]
+    marks = [{"itc_id": itc_id, "start_frame": f, "end_frame": f + 5, "reward": 1} for f in (0, 10, 20)]
+    send("edits", action="mark", put=marks)
+    assert len(held) == 3
+    first, second, _ = sorted(held.values(), key=lambda row: row["start_frame"])
+    send("edits", action="nudge", put=[{**first, "end_frame": 8}])
+    send("edits", action="remove", remove=[second["segment_id"]])
+    assert len(held) == 2
+    for _ in range(3):
+        send("undo")
+    assert held == {}
+    for _ in range(3):
+        send("redo")
+    assert {row["start_frame"]: row["end_frame"] for row in held.values()} == {0: 8, 20: 25}
 
 
 def test_a_stale_write_is_refused_with_what_changed(api: TestClient) -> None:
@@ -101,7 +131,7 @@ def test_nothing_outside_the_source_is_served(api: TestClient, folder: Path, nam
 
 def test_text_of_users_stays_text(api: TestClient) -> None:
     note = "<script>alert(1)</script>"
-    assert put(api, rationale=note).json()["segments"][0]["rationale"] == note
+    assert put(api, rationale=note).json()["changed"][0]["rationale"] == note
     assert api.get("/api/episodes/episode/rows").headers["content-type"] == "application/json"
 
 

@@ -24,13 +24,19 @@ export class Labels {
 
   take(episodeId, answer) {
     this.episodeId = episodeId;
-    this.segments = answer.segments.toSorted((a, b) => a.start_frame - b.start_frame || a.end_frame - b.end_frame);
+    this.segments = (answer.segments ?? this.#with(answer)).toSorted((a, b) => a.start_frame - b.start_frame || a.end_frame - b.end_frame);
     this.proposals = answer.proposals.toSorted((a, b) => a.start_frame - b.start_frame);
     this.version = answer.version;
     this.canUndo = answer.can_undo;
     this.canRedo = answer.can_redo;
     this.problems = answer.label_problems;
     this.onChange();
+  }
+
+  // The rows after an edit: the server answers with those that the edit changed.
+  #with({ changed, removed }) {
+    const gone = new Set([...removed, ...changed.map((s) => s.segment_id)]);
+    return [...this.segments.filter((s) => !gone.has(s.segment_id)), ...changed];
   }
 
   get(id) {
