@@ -3,6 +3,7 @@
 import base64
 import threading
 from collections import OrderedDict
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from jiti.curate.returns import GAMMA, mc_returns
 from jiti.curate.rewards import FrameRewards, frame_rewards
 from jiti.curate.suspects import Suspect
 from jiti.curate.validate import Trajectories, suspects_of
-from jiti.errors import LabelError, UsageError
+from jiti.errors import JitiError, LabelError, UsageError
 
 STATIC = Path(__file__).parent / "static"
 GLANCES = 8
@@ -71,6 +72,15 @@ class Derived:
                     self._glances.popitem(last=False)
             return version, labels, rewards, self._glances[key]
 
+    def read_ahead(self) -> None:
+        """Begin `current` in a thread: reading 11,000 label files takes longer than the browser needs to ask."""
+
+        def read() -> None:
+            with suppress(JitiError):  # the first request says what is wrong
+                self.current()
+
+        threading.Thread(target=read, daemon=True).start()
+
     def suspects(self, gamma: float) -> tuple[list[Suspect], bool]:
         """Suspects, and whether that is all: trajectories are read and compared in a thread, which takes longer."""
         version, labels, _ = self.current()
@@ -111,6 +121,7 @@ class Derived:
 def rvv_routes(session: Session) -> list[BaseRoute]:
     """The page at /rewards and what it asks for; served beside the annotator's own routes."""
     derived = Derived(session)
+    derived.read_ahead()
 
     async def page(_request: Request) -> Response:
         return FileResponse(STATIC / "rvv.html")
