@@ -21,7 +21,9 @@ class Server:
     """Runs `jiti ARGUMENTS --no-browser` with caches and settings under `home`. Ends with its `with` block."""
 
     def __init__(self, home: Path, *arguments: str) -> None:
-        environment = os.environ | {
+        # As users have it: without compiled files each start would compile hundreds of modules anew.
+        inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        environment = inherited | {
             "XDG_CACHE_HOME": str(home / "cache"),
             "XDG_CONFIG_HOME": str(home / "config"),
             "RERUN_ANALYTICS_ENABLED": "false",
