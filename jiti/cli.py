@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from jiti import __version__
 from jiti.errors import JitiError, UsageError
 
 if TYPE_CHECKING:
@@ -37,6 +38,21 @@ Port = Annotated[
 ]
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"jiti {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Label how robot demonstrations were done, and learn from those labels."""
 
 
 @app.command(short_help="Mark segments and verdicts in a browser (ESA).")
@@ -116,7 +132,7 @@ def validate_rewards(
 
 @app.command(short_help="List episodes, streams and problems.")
 def inspect(source: Source = None, as_json: Json = False) -> None:
-    """List the episodes of a source, their streams, and what is wrong with them.
+    """List the episodes of a source, their streams, and what is wrong with them. Exits with 1 when none can be opened.
 
     Example: jiti inspect episode.mcap --json
     """
@@ -125,6 +141,8 @@ def inspect(source: Source = None, as_json: Json = False) -> None:
     with _progress("Reading") as progress:
         report = inspect_source(source, progress=lambda done, total: progress(done / max(1, total), "Reading"))
     print_report(report, as_json=as_json)
+    if not report.readable:
+        raise typer.Exit(1)
 
 
 @app.command(short_help="List tasks and their constraints (ITCs).")

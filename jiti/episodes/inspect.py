@@ -51,8 +51,9 @@ class SourceReport:
     """Of the source as a whole."""
 
     @property
-    def problem_count(self) -> int:
-        return len(self.problems) + sum(len(episode.problems) for episode in self.episodes)
+    def readable(self) -> bool:
+        """Whether an episode could be opened, or there is none to open."""
+        return not self.episodes or any(episode.clock_reference or episode.rate_hz for episode in self.episodes)
 
 
 def inspect_source(

@@ -14,6 +14,7 @@ from jiti.annotate.partition import Partition
 from jiti.annotate.segment_file import FileInfo, Recording, encode, to_segments
 from jiti.annotate.segments import SCHEMA, Segment
 from jiti.annotate.store import LabelStore
+from jiti.annotate.web.waiting import progress
 from jiti.errors import LabelError, NewerSchema
 from tests.builders.labels import RECORDING, full_disk, segment
 
@@ -109,6 +110,17 @@ def test_a_later_schema_is_an_error(tmp_path: Path) -> None:
     pq.write_table(pq.ParquetFile(path).read().replace_schema_metadata({b"jiti": b'{"schema_version": 2}'}), path)
     with pytest.raises(NewerSchema, match=r"ep\.parquet has schema version 2"):
         read_labels(tmp_path)
+
+
+def test_lists_name_a_later_schema_and_go_on(tmp_path: Path) -> None:
+    save(tmp_path, "anna", "ep", segment())
+    save(tmp_path, "ben", "ep", segment())
+    path = segments_path(tmp_path, "anna", "ep")
+    pq.write_table(pq.ParquetFile(path).read().replace_schema_metadata({b"jiti": b'{"schema_version": 2}'}), path)
+    labels = read_labels(tmp_path, skip_newer=True)
+    assert told(labels) == [("ben", "ep", 10)]
+    assert [problem.where for problem in labels.problems] == [str(path)]
+    assert set(progress(tmp_path, "ben")) == {"ep"}
 
 
 @pytest.fixture

@@ -254,6 +254,33 @@ def test_a_key_is_remapped_for_good(serve, screen, tmp_path: Path) -> None:
     page.reload().ready().wait(version=1).press("w", "g").wait(version=2)
 
 
+def test_a_key_that_is_taken_is_refused_in_the_dialog(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "episode.mcap", duration_s=4)
+    page = screen(serve("annotate", ".").url).ready().wait(frame=0)
+    page.press("?")
+    page.page.click("[data-action=pass]")
+    page.press("f")
+    page.until(lambda: "f is already used" in page.page.inner_text("#keys-trouble"), lambda: "the refusal")
+    page.page.click("[data-action=pass]")
+    page.press("g")
+    page.until(lambda: "g pass" in page.page.inner_text("#hint"), lambda: "the new key in the hint")
+
+
+def test_keys_do_not_reach_an_episode_that_another_was_to_replace(serve, screen, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", duration_s=4)
+    write_mcap(tmp_path / "b.mcap", duration_s=4)
+    page = screen(serve("annotate", ".", "--annotator", "ada").url).ready().wait(episode="a", frame=0)
+    page.press("w").wait(version=1)
+    (tmp_path / "b.mcap").write_bytes(b"no recording any more")
+    page.page.click("[data-episode=b]")
+    page.wait(episode="", segments=0)
+    page.until(lambda: "b.mcap" in page.page.inner_text("#alert"), lambda: "what is wrong")
+    page.press("w", "p", "Delete")
+    page.page.click("[data-episode=a]")
+    page.wait(episode="a", segments=1, version=1)
+    assert page.page.is_hidden("#alert")
+
+
 def _itc_of(instruction: str) -> str:
     task = load_catalogue().match(instruction)
     assert task is not None

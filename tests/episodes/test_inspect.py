@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from jiti.episodes.episode import Problem
 from jiti.episodes.inspect import SourceReport, inspect_source, print_report, to_json
 from tests.builders.lerobot import FRONT, write_v3
 from tests.builders.mcap import Camera, write_mcap
@@ -22,6 +23,10 @@ def printed(report: SourceReport, width: int = 80) -> str:
     console = Console(width=width, file=io.StringIO(), highlight=False)
     print_report(report, console)
     return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def problems_of(report: SourceReport) -> list[Problem]:
+    return [*report.problems, *(problem for episode in report.episodes for problem in episode.problems)]
 
 
 def test_a_dataset(tmp_path: Path) -> None:
@@ -41,7 +46,7 @@ def test_a_dataset(tmp_path: Path) -> None:
         (FRONT, "camera", 12),
         ("next.reward", "numeric", 12),
     ]
-    assert report.problem_count == 0
+    assert not problems_of(report)
 
 
 def test_the_json_is_plain_and_whole(tmp_path: Path) -> None:
@@ -71,7 +76,8 @@ def test_a_folder_with_good_and_bad_files(tmp_path: Path) -> None:
     report = inspect_source(root)
     assert [episode.frame_count for episode in report.episodes] == [10, None]
     assert [len(episode.problems) for episode in report.episodes] == [0, 1]
-    assert report.problem_count == 1
+    assert len(problems_of(report)) == 1
+    assert report.readable
     text = printed(report)
     assert "pick1.mcap" in text
     assert "/camera" in text
@@ -146,7 +152,7 @@ def test_brackets_in_names_are_text(tmp_path: Path) -> None:
 def test_the_real_dataset(shared: Path) -> None:
     report = inspect_source(shared / "lerobot" / "bimanual_v3")
     assert [episode.frame_count for episode in report.episodes] == [429, 395, 449, 408]
-    assert report.problem_count == 0
+    assert not problems_of(report)
     assert "h264 from mpeg4" in printed(report)
 
 

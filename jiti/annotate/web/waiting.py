@@ -32,7 +32,7 @@ class Progress:
 def progress(labels_dir: Path, annotator: str) -> Mapping[str, Progress]:
     """By episode id; episodes that nobody touched are not in it but count as untouched. Raises LabelError."""
     # Everyone's labels are read, not these alone: what was read of all of them is kept for the next time.
-    table = read_labels(labels_dir).segments
+    table = read_labels(labels_dir, skip_newer=True).segments
     table = table.filter(pa.array(np.isin(table["annotator"].to_numpy(), [annotator, *MACHINES])))
     found: dict[str, Progress] = defaultdict(Progress)
     own = zip(*(table[name].to_pylist() for name in ("annotator", "episode_id", "status", "reward")), strict=True)
@@ -62,5 +62,5 @@ def _machines_version(labels_dir: Path) -> tuple[tuple[str, int, int], ...]:
 @lru_cache(maxsize=2)
 def _proposed(labels_dir: Path, _version: object) -> pa.Table:
     """All proposals, kept until the version changes: every save asks for them, and machines write seldom."""
-    table = read_labels(labels_dir, annotators=MACHINES).segments
+    table = read_labels(labels_dir, annotators=MACHINES, skip_newer=True).segments
     return table.filter(pa.array(table["status"].to_numpy() == "proposed"))

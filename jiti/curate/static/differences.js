@@ -7,8 +7,8 @@ const WORD = { 1: "pass", 0: "fail", null: "undecided" };
 export class Differences {
   #names = [];
 
-  constructor(panel, { onOpen, onSettled, onTrouble }) {
-    Object.assign(this, { panel, onOpen, onSettled, onTrouble });
+  constructor(panel, { onOpen, esaLink, onSettled, onTrouble }) {
+    Object.assign(this, { panel, onOpen, esaLink, onSettled, onTrouble });
     this.first = make("select", { onchange: () => this.load() });
     this.second = make("select", { onchange: () => this.load() });
     this.first.setAttribute("aria-label", "First annotator");
@@ -64,7 +64,7 @@ export class Differences {
       make("td", {}, frames),
       make("td", { textContent: say(difference.a) }),
       make("td", { textContent: say(difference.b) }),
-      make("td", {}, make("button", { textContent: `take ${a}`, onclick: settle("a") }), " ", make("button", { textContent: `take ${b}`, onclick: settle("b") })),
+      make("td", {}, make("button", { textContent: `take ${a}`, onclick: settle("a") }), " ", make("button", { textContent: `take ${b}`, onclick: settle("b") }), " ", make("a", { href: this.esaLink({ ...difference, segment_id }), target: "jiti-esa", textContent: "Fix in ESA" })),
     );
   }
 }

@@ -1,6 +1,6 @@
 // The Reward Validation Viewer: the whole dataset, its suspects, and one episode with returns under the video.
 
-import { call, episodePath, make, setTheme, text, theme } from "/static/api.js";
+import { call, count, episodePath, make, setTheme, text, theme } from "/static/api.js";
 import { Clock, Player } from "/static/clock.js";
 import { Viewer } from "/static/viewer.js";
 import { Chart } from "/rewards/static/chart.js";
@@ -14,6 +14,7 @@ const DEFAULT_GAMMA = 0.98;
 let gamma = Number(new URLSearchParams(location.search).get("gamma") ?? DEFAULT_GAMMA);
 let overview = null;
 let suspects = [];
+let compared = false; // whether all trajectories were, which takes a while
 let episode = null;
 let clock = new Clock([0]);
 let viewer = null;
@@ -26,7 +27,7 @@ const map = new RewardMap($("map"), {
 });
 const chart = new Chart($("chart"), { onSeek: (frame) => seek(frame) });
 const player = new Player((ns) => show(clock.frameAt(ns)));
-const differences = new Differences($("differences"), { onOpen: (id, frame) => open(id, frame), onSettled: () => refresh(), onTrouble: (error) => warn(error.message) });
+const differences = new Differences($("differences"), { onOpen: (id, frame) => open(id, frame), esaLink, onSettled: () => refresh(), onTrouble: (error) => warn(error.message) });
 
 // ---- the dataset ----
 
@@ -46,7 +47,7 @@ async function refresh() {
   overview.stateBins = bytes("states");
   overview.returnBins = bytes("returns");
   const { totals } = overview;
-  text("summary", `${totals.episodes} episodes, ${totals.labelled} labelled, ${totals.segments} segments, ${Math.round(totals.positive_share * 100)}% of annotated frames pass`);
+  text("summary", `${count(totals.episodes, "episode")}, ${totals.labelled} labelled, ${count(totals.segments, "segment")}, ${Math.round(totals.positive_share * 100)}% of annotated frames pass`);
   text("scale", `0 to ${overview.return_max.toPrecision(3)}`);
   drawMap();
   differences.annotators(overview.annotators);
@@ -75,6 +76,7 @@ function drawMap() {
 async function readSuspects() {
   const found = await call(`/api/rewards/suspects?gamma=${gamma}`);
   suspects = found.suspects;
+  compared = found.complete;
   drawSuspects();
   clearTimeout(suspectTimer);
   if (!found.complete) suspectTimer = setTimeout(readSuspects, 1500);
@@ -95,7 +97,8 @@ function drawSuspects() {
     );
     return item;
   });
-  if (!rows.length) rows.push(make("li", { className: "none quiet", textContent: "Nothing looks wrong." }));
+  if (!compared) rows.push(make("li", { className: "none quiet", textContent: "Still comparing trajectories…" }));
+  else if (!rows.length) rows.push(make("li", { className: "none quiet", textContent: "Nothing looks wrong." }));
   if (suspects.length > 300) rows.push(make("li", { className: "none quiet", textContent: `… and ${suspects.length - 300} more: jiti validate-rewards --check lists all.` }));
   $("suspects").replaceChildren(...rows);
 }
@@ -171,7 +174,7 @@ function describe() {
   Object.assign(state.dataset, {
     episode: episode?.episode_id ?? "", frame: chart.frame, suspects: suspects.length, version: overview?.version ?? "", gamma,
   });
-  if (!player.playing) text("state", `${overview?.totals.episodes ?? 0} episodes, ${suspects.length} suspects. ${episode ? `${episode.title}, frame ${chart.frame}.` : ""}`);
+  if (!player.playing) text("state", `${count(overview?.totals.episodes ?? 0, "episode")}, ${count(suspects.length, "suspect")}. ${episode ? `${episode.title}, frame ${chart.frame}.` : ""}`);
 }
 
 function warn(message) {

@@ -49,6 +49,8 @@ export class Line {
   }
 }
 
+export const count = (number, word) => `${number} ${word}${number === 1 ? "" : "s"}`;
+
 export function text(id, value) {
   const element = document.getElementById(id);
   if (element.textContent !== value) element.textContent = value;

@@ -38,6 +38,8 @@ const current = () => labels.segments.find((s) => s.segment_id === selected);
 
 // ---- parts ----
 
+const NO_LABELS = { segments: [], proposals: [], version: 0, can_undo: false, can_redo: false, label_problems: [] };
+
 const labels = new Labels({
   onChange: draw,
   onSaving: () => saved("saving", "Saving…"),
@@ -295,7 +297,7 @@ const keys = new Keys(
     { id: "find", group: "Episodes", label: "Find an episode", keys: ["/"], run: () => $("find").focus() },
     { id: "help", group: "Episodes", label: "Show all keys", keys: ["?"], run: () => keys.show() },
   ],
-  { dialog: $("help"), ready: () => episode !== null },
+  { dialog: $("help"), ready: () => episode !== null, onChange: () => (draw(), hint(idleHint())) },
 );
 
 function speed(by) {
@@ -424,6 +426,7 @@ async function open(id, at = 0) {
     await labels.idle();
   } catch (error) {
     queue.mark(id);
+    if (mine === opening) close();
     return warn(error.message);
   }
   if (mine !== opening) return; // another one was asked for meanwhile
@@ -449,13 +452,28 @@ async function open(id, at = 0) {
   draw();
   hint(idleHint());
   await prepare(id);
-  if (episode.episode_id !== id) return;
+  if (episode?.episode_id !== id) return;
   viewer.open(episodePath(id, "/recording.rrd"));
   call(episodePath(id, "/events")).then((found) => {
-    if (episode.episode_id !== id) return;
+    if (episode?.episode_id !== id) return;
     events = found.events;
     drawTime();
   }, (error) => hint(error.message));
+}
+
+// Nothing is open: keys must not reach the episode that was open before.
+function close() {
+  episode = null;
+  [clock, lane, mark, selected, looping, events] = [new Clock([0]), 0, null, null, false, []];
+  viewer.close();
+  $("loading").hidden = true;
+  document.title = "jiti annotate";
+  text("title", "No episode is open");
+  text("instruction", "");
+  saved("idle", "Nothing to save");
+  queue.current(null);
+  labels.take(null, NO_LABELS);
+  show(0);
 }
 
 // A recording that must be shown through a lighter copy says how far that is; the copy is shown while it grows.
@@ -464,9 +482,9 @@ async function prepare(id) {
   if (!episode.proxy_reason) return;
   const reason = episode.proxy_reason;
   const watch = async () => {
-    if (episode.episode_id !== id) return;
+    if (episode?.episode_id !== id) return;
     const { proxy } = await call(episodePath(id, "/proxy"));
-    if (!proxy || episode.episode_id !== id) return;
+    if (!proxy || episode?.episode_id !== id) return;
     $("loading").hidden = proxy.done;
     if (proxy.error) return warn(proxy.error);
     const left = proxy.seconds_left === null ? "" : `, about ${Math.ceil(proxy.seconds_left)} s left`;

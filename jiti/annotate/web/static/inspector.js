@@ -1,6 +1,6 @@
 // The list of segments and proposals, and everything about the one that is selected.
 
-import { make } from "./api.js";
+import { count, make } from "./api.js";
 
 const WORD = { 1: "pass", 0: "fail", null: "undecided" };
 const GLYPH = { 1: "✓", 0: "✗", null: "?" };
@@ -50,12 +50,13 @@ export class Inspector {
 
   #panel(segment, proposal, lanes) {
     const itc = lanes.find((lane) => lane.itc_id === segment.itc_id);
-    const parts = [
-      make("div", {}, make("b", { textContent: `Frames ${segment.start_frame} to ${segment.end_frame}` }), ` · ${segment.end_frame - segment.start_frame + 1} frames`),
+    // What is pressed comes before what is read, so that it is in sight on small screens.
+    return [
+      make("div", {}, make("b", { textContent: `Frames ${segment.start_frame} to ${segment.end_frame}` }), ` · ${count(segment.end_frame - segment.start_frame + 1, "frame")}`),
+      ...(proposal ? this.#proposal(segment) : this.#own(segment, lanes)),
       make("div", { textContent: itc?.statement ?? segment.itc_id }),
+      make("div", { className: "quiet", textContent: itc?.check ?? "" }),
     ];
-    if (itc?.check) parts.push(make("div", { className: "quiet", textContent: itc.check }));
-    return parts.concat(proposal ? this.#proposal(segment) : this.#own(segment, lanes));
   }
 
   #proposal(segment) {
@@ -85,11 +86,10 @@ export class Inspector {
     });
     const origin = segment.parent_id ? make("div", { className: "quiet", textContent: `${segment.status} proposal of ${segment.source}` }) : null;
     return [
-      make("div", { className: "row" }, ...verdicts),
+      make("div", { className: "row" }, ...verdicts, this.#button("delete", "delete", () => this.actions.remove(id))),
       origin,
       make("label", {}, lane),
       note,
-      make("div", { className: "row" }, this.#button("delete", "delete", () => this.actions.remove(id))),
     ].filter(Boolean);
   }
 

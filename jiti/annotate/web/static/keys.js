@@ -19,10 +19,11 @@ export class Keys {
   #held = null;
 
   // Actions: [{ id, group, label, keys: [...], run(event), up?(event), repeat? }].
-  constructor(actions, { dialog, ready }) {
+  constructor(actions, { dialog, ready, onChange }) {
     this.actions = actions;
     this.dialog = dialog;
     this.ready = ready;
+    this.onChange = onChange;
     dialog.addEventListener("close", () => (this.listening = null));
     this.changed = {};
     this.listening = null;
@@ -86,13 +87,14 @@ export class Keys {
     held?.action.up(event);
   }
 
-  show() {
+  show(message = "") {
+    document.getElementById("keys-trouble").textContent = message;
     const groups = Map.groupBy(this.actions, (action) => action.group);
     const sections = [...groups].map(([group, actions]) =>
       make("section", {}, make("h3", { textContent: group }), ...actions.map((action) => this.#row(action))),
     );
     document.getElementById("keys").replaceChildren(...sections);
-    this.dialog.showModal();
+    if (!this.dialog.open) this.dialog.showModal();
   }
 
   #row(action) {
@@ -114,20 +116,27 @@ export class Keys {
     this.listening = null;
     const name = keyName(event);
     const taken = this.find(name);
-    if (event.key !== "Escape" && taken && taken !== action) {
-      alert(`${name} is already used to ${taken.label.toLowerCase()}. Change that one first.`);
-    } else if (event.key !== "Escape") {
-      this.changed = { ...this.changed, [action.id]: name };
-      await call("/api/keys", { keys: this.changed }, "PUT").catch((error) => alert(error.message));
-    }
-    this.dialog.close();
-    this.show();
+    if (event.key === "Escape") return this.show();
+    if (taken && taken !== action) return this.show(`${name} is already used: ${taken.label}. Change that one first.`);
+    await this.#change({ ...this.changed, [action.id]: name });
   }
 
-  async reset() {
-    this.changed = {};
-    await call("/api/keys", { keys: {} }, "PUT");
-    this.dialog.close();
+  reset() {
+    return this.#change({});
+  }
+
+  // A change counts at once, and is taken back when it could not be kept.
+  async #change(keys) {
+    const before = this.changed;
+    this.changed = keys;
+    this.onChange();
     this.show();
+    try {
+      await call("/api/keys", { keys }, "PUT");
+    } catch (error) {
+      this.changed = before;
+      this.onChange();
+      this.show(error.message);
+    }
   }
 }

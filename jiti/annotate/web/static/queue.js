@@ -1,6 +1,6 @@
 // The list of episodes: by name, or those first whose labels a review is likely to change most.
 
-import { call, make, text } from "./api.js";
+import { call, count, make, text } from "./api.js";
 
 const SHOWN = 400; // rows in the page at once; the rest is found by typing
 
@@ -79,18 +79,18 @@ export class Queue {
     if (rows.length > SHOWN) this.list.append(make("li", { className: "quiet", textContent: `… ${rows.length - SHOWN} more: type to find them` }));
     const labelled = this.all.filter((e) => e.segments).length;
     const waiting = this.all.reduce((sum, e) => sum + e.proposals, 0);
-    text("progress", `${labelled} of ${this.all.length} labelled${waiting ? `, ${waiting} proposals` : ""}`);
+    text("progress", `${labelled} of ${this.all.length} labelled${waiting ? `, ${count(waiting, "proposal")}` : ""}`);
   }
 
   #row(e) {
-    const parts = [e.frame_count === null ? "" : `${e.frame_count} frames`, e.segments ? `${e.segments} ✎` : "", e.undecided ? `${e.undecided} ?` : ""];
+    const parts = [e.frame_count === null ? "" : count(e.frame_count, "frame"), e.segments ? `${e.segments} ✎` : "", e.undecided ? `${e.undecided} ?` : ""];
     const counts = make("span", { className: "counts", textContent: parts.filter(Boolean).join(" · ") });
     if (e.proposals) counts.append(make("span", { className: "ghosts", textContent: `  ${e.proposals} proposed` }));
     if (e.problem) counts.replaceChildren(make("span", { className: "bad", textContent: "cannot be opened" }));
     const button = make(
       "button",
       { title: e.problem ?? e.task ?? e.title, onclick: () => this.onOpen(e.episode_id), "aria-current": String(e.episode_id === this.#current), data: { episode: e.episode_id } },
-      make("span", { className: "name", textContent: e.title }),
+      make("span", { className: "name" }, make("bdi", { textContent: e.title })),
       counts,
     );
     return make("li", {}, button);

@@ -116,7 +116,9 @@ export class Timeline {
     }
   }
 
-  #segment(g, colour, lanes, segment, chosen, ghost) {
+  #segment(g, colour, lanes, stored, chosen, ghost) {
+    const dragged = this.drag?.moved && this.drag.segment.segment_id === stored.segment_id;
+    const segment = dragged ? this.#moved(stored) : stored;
     const row = lanes.findIndex((lane) => lane.itc_id === segment.itc_id);
     if (row < 0) return;
     const kind = segment.status === "rejected" ? "quiet" : { 1: "pass", 0: "fail", null: "open" }[segment.reward];
@@ -175,7 +177,7 @@ export class Timeline {
     }
     if (this.drag.edge) {
       this.drag.moved ||= Math.abs(event.clientX - this.drag.from) >= DRAG_PX;
-      if (this.drag.moved) this.onSeek(this.#edgeFrame(event));
+      if (this.drag.moved) this.onSeek((this.drag.to = this.#edgeFrame(event)));
     } else {
       this.onSeek(this.frameAt(this.#point(event).x));
     }
@@ -184,6 +186,13 @@ export class Timeline {
   #edgeFrame(event) {
     const frames = ((event.clientX - this.drag.from) / this.width) * (this.view[1] - this.view[0]);
     return this.drag.segment[this.drag.edge] + Math.round(frames);
+  }
+
+  // A segment whose edge is being dragged, as it would be if it were let go now.
+  #moved(segment) {
+    const { edge, to } = this.drag;
+    const other = segment[edge === "start_frame" ? "end_frame" : "start_frame"];
+    return { ...segment, [edge]: edge === "start_frame" ? Math.min(Math.max(to, 0), other) : Math.max(Math.min(to, this.model().last), other) };
   }
 
   #up(event) {

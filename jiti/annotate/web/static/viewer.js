@@ -53,6 +53,13 @@ export class Viewer {
     this.#send({ type: "open_url", url: this.#url });
   }
 
+  async close() {
+    await this.#ready;
+    if (this.#url) this.#send({ type: "close_url", url: this.#url });
+    this.#url = null;
+    this.#opened = false;
+  }
+
   seek(ns) {
     this.#wanted = ns;
     if (!this.#opened) return;
