@@ -170,7 +170,8 @@ def test_every_key_of_the_viewer_is_the_annotators(serve, screen, tmp_path: Path
     page.press("3").wait(lane="generic/pose_alignment")
     page.press("w").wait(version=1)
     page.press("Control+z").wait(version=2, segments=0)
-    page.press("Home", "Space").until(lambda: int(page.state["frame"]) > 0, lambda: "time to pass")
+    page.press("Home").wait(frame=0)
+    page.press("Space").until(lambda: int(page.state["frame"]) > 0, lambda: "time to pass")
     page.press("Space").wait(playing="false")
     stopped = int(page.state["frame"])
     assert stopped > 0
