@@ -9,11 +9,15 @@ from difflib import get_close_matches
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jiti.errors import CatalogueError
 from jiti.tasks.catalogue_file import Defined, read_tasks
 from jiti.tasks.generic import GENERIC, generic_task
 from jiti.tasks.task import ITC, Task
+
+if TYPE_CHECKING:
+    from jiti.episodes.episode import Episode
 
 _SCENE = re.compile(r"^[A-Z]+(?:_[A-Z]+)*_SCENE\d+_")
 """What LIBERO puts before an instruction in the names of its files."""
@@ -66,6 +70,25 @@ class Catalogue:
     def match(self, instruction: str | None) -> Task | None:
         """The first task of that wording, whatever its case, punctuation, spaces, `_` or `-`; None without one."""
         return self._by_wording.get(_plain(instruction)) if instruction and _plain(instruction) else None
+
+    def simulated(self, name: str) -> Task:
+        """The task of simulation with an id, or the only one whose id ends in `/name`. Raises CatalogueError."""
+        tasks = [task for task in self.tasks if task.bddl]
+        found = [task for task in tasks if name in (task.task_id, task.task_id.rpartition("/")[2])]
+        if len(found) == 1:
+            return found[0]
+        ids = [task.task_id for task in (found or tasks)]
+        close = get_close_matches(name, [*ids, *(i.rpartition("/")[2] for i in ids)], 3)
+        hint = f"did you mean {' or '.join(close)}? " if close and not found else ""
+        what = f"{name!r} is the end of several tasks' ids" if found else f"no task of simulation is {name!r}"
+        raise CatalogueError(f"{what}; {hint}There are: {', '.join(ids)}.")
+
+    def for_episode(self, episode: "Episode") -> Task:
+        """The task that its recorder named, else the one that matches its instruction, else a generic one."""
+        for task in self.tasks:
+            if task.task_id == episode.task_id:
+                return task
+        return self.for_instruction(episode.task)
 
     def for_instruction(self, instruction: str | None) -> Task:
         """The task that matches, or one with an ITC for each criterion, so that every episode can be labelled."""

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from jiti.errors import CatalogueError
+from jiti.tasks.goal import parse_goal
 from jiti.tasks.task import ITC, Criterion, Task
 from jiti.tasks.toml_lines import KeyPath, line_numbers, line_of
 
@@ -39,6 +40,7 @@ _ITC_KEYS = {
     "criterion": (_TEXT, True),
     "statement": (_TEXT, True),
     "check": (_TEXT, False),
+    "goal": (_TEXT, False),
 }
 _ID = re.compile(r"[A-Za-z0-9][\w.-]*")
 
@@ -124,7 +126,13 @@ class _Reader:
                 (*at, "criterion"), f"there is no criterion {name!r}; {_nearest(name, [*Criterion])}one of: {known}"
             )
             return None
-        return ITC(f"{task_id}/{table['id']}", table["statement"], Criterion(name), table.get("check", ""))
+        goal = table.get("goal", "")
+        try:
+            if goal:
+                parse_goal(goal)
+        except CatalogueError as error:
+            self._say((*at, "goal"), f"the goal cannot be read: {error}")
+        return ITC(f"{task_id}/{table['id']}", table["statement"], Criterion(name), table.get("check", ""), goal)
 
     def _check(self, at: KeyPath, table: Any, keys: dict[str, tuple[str, bool]], what: str) -> bool:
         """Whether a table has the keys that it needs, with values of the right kind, and no others."""

@@ -22,7 +22,9 @@ class ITC:
     statement: str
     criterion: Criterion
     check: str = ""
-    """How a person or a predicate decides it."""
+    """How a person decides it."""
+    goal: str = ""
+    """How the simulator decides it, in BDDL (`jiti.tasks.goal`); empty for tasks that are not simulated."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ def test_a_good_file_gives_tasks_with_their_lines(tmp_path: Path) -> None:
             [
                 "line 6: an ITC has no statement; add `statement = ...`",
                 "line 9: an ITC has no key 'statment'; did you mean 'statement'? It takes one of: "
-                "id, criterion, statement, check",
+                "id, criterion, statement, check, goal",
             ],
         ),
         ('id = "lab/pour"', "id = 7", ["line 2: id is 7; it must be a text"]),

@@ -1,0 +1,125 @@
+"""Whether an ITC was satisfied, and at which step that was decided, from what was seen at every step of an episode."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from jiti.errors import CatalogueError
+from jiti.tasks.goal import Always, And, AtEnd, Atom, AtRelease, Goal, Until
+
+RELEASE_STEPS = 3
+"""Steps without contact from which on a thing counts as let go; contact flickers in MuJoCo, as a prototype measured.
+0.15 s at 20 Hz."""
+
+GAP = "gap_m"
+"""Suffix of a measure: the least distance of the robot, and of what it moves, to what must stay as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """What was seen at each step of an episode, from the first state to the last."""
+
+    holds: Mapping[str, np.ndarray]
+    """(steps,) bool by predicate, under its text: `IsGrasping ketchup_1`."""
+    measures: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """(steps,) float by measure: `IsGrasping ketchup_1 fingers`."""
+
+    def of(self, atom: Atom) -> np.ndarray:
+        """(steps,) bool. Raises CatalogueError when the predicate was not watched."""
+        try:
+            return self.holds[str(atom)]
+        except KeyError:
+            raise CatalogueError(
+                f"the trace has no {str(atom)!r}, it has: {', '.join(self.holds)}. It was recorded with other goals; "
+                "record it again."
+            ) from None
+
+    @property
+    def last(self) -> int:
+        """The last step."""
+        return len(next(iter(self.holds.values()))) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How an ITC was decided."""
+
+    satisfied: bool
+    step: int
+    """Where, from 0: the first step of a violation, else the step after which nothing could change it any more or, for
+    what must never happen, the step at which it came nearest to happening."""
+    reason: str
+    """In a sentence, for a person."""
+
+
+def judge(goal: Goal, trace: Trace) -> Verdict:
+    """The verdict on a whole episode. Raises CatalogueError when the trace lacks a predicate of the goal."""
+    match goal:
+        case And(parts):
+            verdicts = [judge(part, trace) for part in parts]
+            violated = [v for v in verdicts if not v.satisfied]
+            return min(violated, key=lambda v: v.step) if violated else max(verdicts, key=lambda v: v.step)
+        case Until(stays, until):
+            return _until(stays, until, trace)
+        case AtRelease(what):
+            return _at_release(what, trace)
+        case AtEnd(what):
+            return _at_end(what, trace)
+        case Always(what):
+            return _always(what, trace)
+
+
+def releases(grasping: np.ndarray) -> list[int]:
+    """Last steps of contact before each time that a thing was let go; contact (steps,) bool, flickers bridged."""
+    held = [*np.flatnonzero(grasping).tolist(), len(grasping)]
+    return [a for a, b in pairwise(held) if b - a > RELEASE_STEPS]
+
+
+def _until(stays: Atom, until: Atom, trace: Trace) -> Verdict:
+    if not trace.of(stays).any():
+        return Verdict(False, trace.last, f"{stays} never held.")
+    ends = releases(trace.of(stays))
+    if not ends:
+        return Verdict(False, trace.last, f"{stays} still held at the end.")
+    step = ends[0]
+    if trace.of(until)[step]:
+        return Verdict(True, step, f"{stays} ended when {until} held.")
+    return Verdict(False, step, f"{stays} ended before {until} held.")
+
+
+def _at_release(what: Atom, trace: Trace) -> Verdict:
+    ends = releases(trace.of(what.grasp))
+    if not ends:
+        return Verdict(False, trace.last, f"{what.arguments[0]} was never grasped and let go.")
+    holds = bool(trace.of(what)[ends[-1]])
+    return Verdict(holds, ends[-1], f"{what} {'held' if holds else 'did not hold'} when the hand let go.")
+
+
+def _at_end(what: Atom, trace: Trace) -> Verdict:
+    """Decided when the hand let go of it, where it was ever held; else since when it was so."""
+    seen = trace.of(what)
+    holds = bool(seen[-1])
+    ends = releases(trace.holds[str(what.grasp)]) if str(what.grasp) in trace.holds else []
+    if ends:
+        step = ends[-1]
+    elif holds:
+        step = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else trace.last
+    else:
+        step = trace.last
+    return Verdict(holds, step, f"{what} {'held' if holds else 'did not hold'} at the end.")
+
+
+def _always(what: tuple[Atom, ...], trace: Trace) -> Verdict:
+    first = {atom: int(np.argmin(seen)) for atom in what if not (seen := trace.of(atom)).all()}
+    if first:
+        atom = min(first, key=lambda a: first[a])
+        return Verdict(False, first[atom], f"{atom} stopped holding.")
+    gaps = [trace.measures[name] for atom in what if (name := f"{atom} {GAP}") in trace.measures]
+    said = f"{' and '.join(str(atom) for atom in what)} held throughout"
+    if not gaps:
+        return Verdict(True, trace.last, f"{said}.")
+    nearest = np.minimum.reduce(gaps)
+    step = int(np.argmin(nearest))
+    return Verdict(True, step, f"{said}; the nearest came to {1000 * nearest[step]:.0f} mm.")
