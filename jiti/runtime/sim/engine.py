@@ -16,21 +16,31 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from jiti.errors import UsageError
 from jiti.runtime.sim.gl import Graphics
 
+_GL = "MUJOCO_GL"
+"""The environment variable that MuJoCo and robosuite take their GL library from."""
+
 
 def import_robosuite(graphics: Graphics) -> ModuleType:
-    """robosuite, set to render with `graphics`. Raises UsageError when it or a library it needs is not installed."""
-    os.environ["MUJOCO_GL"] = graphics.backend or "disable"
+    """robosuite, set to render with `graphics`. Raises UsageError when it or a library it needs is not installed.
+
+    A process that began without pictures may ask for them later.
+    """
     if "robosuite" in sys.modules:
+        if graphics.backend and os.environ.get(_GL) != graphics.backend:
+            _change_backend(graphics.backend)
         return sys.modules["robosuite"]
     _set_macros(find_robosuite() / "macros.py")
     # Without a handler of its own, Python would print what robosuite logs.
     logging.getLogger("robosuite_logs").addHandler(logging.NullHandler())
+    wish = os.environ.get(_GL)
+    os.environ[_GL] = graphics.backend or "disable"
     try:
         with warnings.catch_warnings():
             # Its sources have escapes in strings that Python 3.12 warns of when it compiles them.
@@ -41,6 +51,19 @@ def import_robosuite(graphics: Graphics) -> ModuleType:
             f"robosuite cannot be imported: {error}. On Debian, `apt-get install libgl1 libegl1 libglib2.0-0` installs "
             "the libraries that it and OpenCV need; `pip install 'jiti[sim]'` the Python packages."
         ) from error
+    finally:
+        if graphics.backend is None:
+            os.environ.pop(_GL)
+            os.environ.update({} if wish is None else {_GL: wish})
+
+
+def _change_backend(backend: str) -> None:
+    """Let MuJoCo's renderer choose its GL library anew; it does so once, when it is imported."""
+    import mujoco
+
+    os.environ[_GL] = backend
+    renderer: Any = sys.modules[mujoco.Renderer.__module__]
+    importlib.reload(renderer.gl_context)
 
 
 def find_robosuite() -> Path:
