@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +24,12 @@ def graphics() -> Graphics:
             pytest.fail(found.message)
         pytest.skip(found.message)
     return found
+
+
+@pytest.fixture(scope="session")
+def libero_assets(shared: Path) -> Path:
+    """LIBERO's own assets."""
+    folder = shared / "libero-assets"
+    if not folder.is_dir():
+        pytest.skip(f"no assets of LIBERO at {folder}")
+    return folder
