@@ -113,6 +113,8 @@ class Episode(Protocol):
     episode_id: str
     task: str | None
     """The instruction recorded with it, if any."""
+    task_id: str | None
+    """Id of the task in the catalogue, where the recorder wrote one: several tasks may share an instruction."""
     streams: Mapping[str, Stream]
     """In the recording's order; cameras and numbers that can be read, and the rest as `other`."""
     clock: Clock

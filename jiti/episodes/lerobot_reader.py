@@ -77,6 +77,7 @@ class LeRobotEpisode:
         except SourceError as error:
             first_error = error
             self._problems.append(_as_problem(error, "Only the videos of this episode are shown."))
+        self.task_id: str | None = None
         self.task = task or self._task_of_rows(tasks)
         count = self._rows.count if self._rows else entry.length
         self._pictures: dict[str, Pictures] = {}

@@ -24,6 +24,8 @@ ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 """One message in a message index: log time, and offset of its record into the unpacked chunk."""
 LATEST_NS = np.iinfo(np.int64).max
 """Log times are unsigned in the format and signed here: up to the year 2262."""
+METADATA_NAME = "jiti"
+"""Name of the metadata records that jiti's own recorders write: the instruction, the task's id."""
 MAX_METADATA_BYTES = 16 << 20
 """Largest metadata record that is read. Our choice: a task or a calibration takes a few kilobytes."""
 

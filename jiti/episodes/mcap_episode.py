@@ -15,7 +15,7 @@ from jiti.episodes.mcap_problems import chunk_losses, late_problem, loss_problem
 from jiti.episodes.mcap_read import Fault, Faults, read_streams
 from jiti.episodes.mcap_records import MAGIC, MAX_UNPACKED_BYTES, McapFile, RecordDamaged, unpack
 from jiti.episodes.mcap_scan import read_unindexed
-from jiti.episodes.mcap_streams import McapStream, Sampler, put_in_order, streams_of, task_of
+from jiti.episodes.mcap_streams import McapStream, Sampler, put_in_order, streams_of, task_id_of, task_of
 from jiti.episodes.mcap_summary import NoSummary, read_indexed
 from jiti.errors import SourceError
 
@@ -54,6 +54,7 @@ class McapEpisode:
         self._streams = {stream.name: stream for stream in found}
         self.streams: Mapping[str, Stream] = {stream.name: stream.describe() for stream in found}
         self.task = task_of(self._contents, found)
+        self.task_id = task_id_of(self._contents)
         self.clock = _clock(found)
         self.image_bytes = _image_bytes(self._contents, found)
         self._faults = Faults()

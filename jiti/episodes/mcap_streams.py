@@ -11,7 +11,7 @@ from jiti.episodes.clock import stretches_in_order, unwrap_together
 from jiti.episodes.episode import INTER_CODED, Stream, StreamKind
 from jiti.episodes.keyframes import is_key_frame
 from jiti.episodes.mcap_components import Components, text_in
-from jiti.episodes.mcap_contents import Contents, Rows
+from jiti.episodes.mcap_contents import METADATA_NAME, Contents, Rows
 from jiti.episodes.mcap_decode import Reading, reading_of
 from jiti.episodes.mcap_layout import Tree, Undecodable
 from jiti.episodes.mcap_pictures import Picture, PictureDecoder, picture_shape
@@ -268,6 +268,12 @@ def task_of(contents: Contents, streams: Sequence[McapStream]) -> str | None:
             if values.get(name):
                 return values[name]
     return next((stream.text for stream in streams if stream.text), None)
+
+
+def task_id_of(contents: Contents) -> str | None:
+    """The task's id, where jiti's own recorder wrote it."""
+    own = (record.metadata for record in contents.metadata if record.name == METADATA_NAME)
+    return next((values["task"] for values in own if values.get("task")), None)
 
 
 def _video_shape(picture: Picture) -> tuple[int, ...]:

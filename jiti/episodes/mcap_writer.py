@@ -13,13 +13,12 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from jiti import __version__
 from jiti.durable import make_folder, replacing, save_failed
 from jiti.episodes.episode import INTER_CODED
+from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.episodes.mcap_schemas import message_class
 from jiti.errors import UsageError
 
 CHUNK_BYTES = 1 << 20
 """Unpacked size of a chunk. The mcap library's default; readers hold one at a time."""
-METADATA_NAME = "jiti"
-"""Name of the metadata record that holds the instruction."""
 
 Numbers = Sequence[float] | np.ndarray
 

@@ -78,7 +78,7 @@ class Catalogue:
         if len(found) == 1:
             return found[0]
         ids = [task.task_id for task in (found or tasks)]
-        close = get_close_matches(name, [*ids, *(i.rpartition("/")[2] for i in ids)], 3)
+        close = get_close_matches(name, [*ids, *(i.rpartition("/")[2] for i in ids)], 3, 0.5)
         hint = f"did you mean {' or '.join(close)}? " if close and not found else ""
         what = f"{name!r} is the end of several tasks' ids" if found else f"no task of simulation is {name!r}"
         raise CatalogueError(f"{what}; {hint}There are: {', '.join(ids)}.")

@@ -69,8 +69,8 @@ class Session:
         return episode
 
     def task(self, episode: Episode) -> Task:
-        """The catalogue's task for the episode's instruction, or a generic one with an ITC for each criterion."""
-        return self.catalogue.for_instruction(episode.task)
+        """The catalogue's task of the episode, or a generic one with an ITC for each criterion."""
+        return self.catalogue.for_episode(episode)
 
     def partition(self, episode_id: str, annotator: str | None = None) -> Partition:
         """The rows of an annotator (default: this server's) on an episode."""

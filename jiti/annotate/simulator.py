@@ -1,0 +1,86 @@
+"""Proposals from a simulator's recordings: where each ITC was decided, and how, by the predicates that it traced."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from jiti.annotate.segments import DEFAULT_WINDOW_FRAMES, Segment, new_segment_id
+from jiti.episodes.episode import Episode, numbers
+from jiti.errors import SourceError
+from jiti.tasks.goal import parse_goal
+from jiti.tasks.judge import Trace, Verdict, judge
+from jiti.tasks.task import ITC, Task
+
+ANNOTATOR = "sim"
+"""Name of the partition that these proposals are written to."""
+PREDICATES, MEASURES = "/predicates", "/measures"
+"""Topics of `jiti record`: whether each predicate holds at each step, and what it measured."""
+
+
+def has_trace(episode: Episode) -> bool:
+    """Whether a recording says what a simulator's predicates saw."""
+    stream = episode.streams.get(PREDICATES)
+    return stream is not None and stream.kind == "numeric" and stream.count > 0
+
+
+def propose_from_simulator(episode: Episode, task: Task) -> list[Segment]:
+    """A window of `DEFAULT_WINDOW_FRAMES` that ends where each ITC of a task was decided, with the trace's verdict.
+
+    All have status `proposed` and source `sim`; the rationale says why, in words. ITCs that have no goal are left to
+    people. Raises SourceError when the recording has no trace, CatalogueError when its trace lacks a predicate.
+    """
+    trace, time_ns = read_trace(episode)
+    now = time.time_ns()
+    return [_segment(episode, itc, judge(parse_goal(itc.goal), trace), time_ns, now) for itc in task.itcs if itc.goal]
+
+
+def read_trace(episode: Episode) -> tuple[Trace, np.ndarray]:
+    """The trace of a recording and the time of each of its steps (steps,) int64 in nanoseconds. Raises SourceError."""
+    if not has_trace(episode):
+        raise SourceError(
+            f"{episode.episode_id} has no stream {PREDICATES!r}, in which a simulator says what it saw. `jiti record` "
+            "makes such recordings; for others use `jiti autolabel --from signal`."
+        )
+    time_ns, holds = numbers(episode, PREDICATES)
+    return Trace(_columns(episode, PREDICATES, holds, lambda v: v > 0.5), _measures(episode, len(time_ns))), time_ns
+
+
+def _measures(episode: Episode, steps: int) -> dict[str, np.ndarray]:
+    if MEASURES not in episode.streams:
+        return {}
+    _, values = numbers(episode, MEASURES)
+    return (
+        _columns(episode, MEASURES, values, lambda v: np.where(np.isnan(v), np.inf, v)) if len(values) == steps else {}
+    )
+
+
+def _columns(
+    episode: Episode, stream: str, values: np.ndarray, read: Callable[[np.ndarray], np.ndarray]
+) -> dict[str, np.ndarray]:
+    return {name: read(values[:, column]) for column, name in enumerate(episode.streams[stream].names)}
+
+
+def _segment(episode: Episode, itc: ITC, verdict: Verdict, time_ns: np.ndarray, now: int) -> Segment:
+    clock = episode.clock
+    # The frame that shows the step; without cameras, frames have a rate of their own.
+    decided = int(np.searchsorted(clock.frame_ns, time_ns[verdict.step], side="left"))
+    end = min(max(decided, DEFAULT_WINDOW_FRAMES - 1), clock.frame_count - 1)
+    start = max(0, end - DEFAULT_WINDOW_FRAMES + 1)
+    return Segment(
+        segment_id=new_segment_id(),
+        episode_id=episode.episode_id,
+        itc_id=itc.itc_id,
+        criterion=itc.criterion.value,
+        start_frame=start,
+        end_frame=end,
+        start_ns=int(clock.frame_ns[start]),
+        end_ns=int(clock.frame_ns[end]),
+        reward=int(verdict.satisfied),
+        status="proposed",
+        source="sim",
+        confidence=1.0,
+        rationale=f"{verdict.reason} Decided at frame {decided}.",
+        created_at=now,
+        updated_at=now,
+    )
