@@ -63,6 +63,20 @@ def test_a_seed_gives_the_same_state_to_the_last_bit(bowl: Scene) -> None:
     np.testing.assert_array_equal(run(), first)
 
 
+def test_a_step_is_robosuites_own_to_the_last_bit(bowl: Scene) -> None:
+    """Also in contact: the hand closes, and is driven down into whatever is there."""
+
+    def run(step) -> np.ndarray:
+        bowl.reset(11)
+        random = np.random.default_rng(0)
+        for _ in range(25):
+            step(np.array([*random.uniform(-1, 1, 2), -1, *random.uniform(-0.3, 0.3, 3), 1.0]))
+        assert len(bowl.world.data.contact)
+        return np.concatenate([bowl.world.data.qpos, bowl.world.data.qvel, bowl.world.data.xpos.ravel()])
+
+    np.testing.assert_array_equal(run(bowl.step), run(bowl._env.step))
+
+
 def test_numpys_own_generator_is_left_as_it_was(bowl: Scene) -> None:
     np.random.seed(1)
     expected = np.random.random()
