@@ -1,10 +1,12 @@
-"""Recordings of the demonstration: complete, the same for the same seed, kept when there."""
+"""Recordings of demonstrations: complete, the same for the same seed, kept when there, whole or not at all."""
 
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,28 +15,41 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from jiti.annotate.labels import read_segments
+from jiti.annotate.simulator import read_trace
+from jiti.annotate.web.session import open_session
 from jiti.episodes.episode import ImageBatch, numbers
 from jiti.episodes.reader import open_reader
 from jiti.errors import UsageError
-from jiti.runtime.sim.demo import demo
 from jiti.runtime.sim.gl import Graphics
-from jiti.runtime.sim.lift import INSTRUCTION, TASK_FILE, TASK_ID
-from jiti.runtime.sim.record import jpeg, quaternion_xyzw, record_demo, recorded_metadata
+from jiti.runtime.sim.pictures import jpeg
+from jiti.runtime.sim.record import Plan, record, recorded_metadata
 from jiti.tasks.catalogue import load_catalogue
+from jiti.tasks.goal import parse_goal
+from jiti.tasks.judge import judge
 
-SEED = 7
+TASK = load_catalogue().task("elegant/T2")
 NOWHERE = Graphics(None, "not needed")
+BLIND = Plan(TASK, seed=3, cameras=())
+"""Without cameras, as fast as it goes."""
+SEEING = Plan(TASK, seed=3, quality=1.0, picture_size=64)
 
 
 @pytest.fixture(scope="module")
-def recorded(graphics, tmp_path_factory) -> Path:
-    """A folder with one recording."""
-    folder = tmp_path_factory.mktemp("demo")
+def seen(graphics, tmp_path_factory) -> Path:
+    """A folder with one recording that has pictures."""
+    folder = tmp_path_factory.mktemp("seen")
     shares: list[float] = []
-    record_demo(folder, seed=SEED, graphics=graphics, progress=lambda share, _what: shares.append(share))
+    record(SEEING, folder, episodes=1, graphics=graphics, progress=lambda share, _what: shares.append(share))
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def blind(tmp_path_factory) -> Path:
+    """A folder with two recordings of numbers alone, made in one process after another."""
+    folder = tmp_path_factory.mktemp("blind")
+    record(BLIND, folder, episodes=2, workers=1)
     return folder
 
 
@@ -43,140 +58,213 @@ def messages(path: Path) -> list[tuple[str, int, bytes]]:
         return [(channel.topic, m.log_time, m.data) for _, channel, m in make_reader(file).iter_messages()]
 
 
-def run_python(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=240,
-        env=os.environ | environment,
-    )
+def command(folder: Path, *arguments: str) -> list[str]:
+    task = ["--task", "T2", "--seed", "3", "--cameras", "none", "--out", str(folder)]
+    return [sys.executable, "-m", "jiti", "record", *task, *arguments]
+
+
+def wait_for(what, seconds: float = 200.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.05)
 
 
 @pytest.mark.sim
-def test_every_step_is_a_frame_with_all_its_pictures_and_numbers(recorded):
-    reader = open_reader(recorded)
-    (ref,) = reader.episodes()
-    episode = reader.open(ref.episode_id)
-    assert episode.task == INSTRUCTION
+def test_every_step_is_a_frame_with_all_its_pictures_and_numbers(seen):
+    (path,) = seen.glob("*.mcap")
+    assert path.name == "elegant-T2_0003.mcap"
+    session = open_session(str(seen), annotator="ada", labels=None, tasks=None)
+    (ref,) = session.reader.episodes()
+    episode = session.reader.open(ref.episode_id)
+    assert (episode.task, episode.task_id) == (TASK.instruction, TASK.task_id)
+    assert session.task(episode) == TASK
     assert not episode.problems
     steps = episode.clock.frame_count
-    assert episode.clock.reference == "/camera/agentview"
+    assert episode.clock.reference == "/camera/front"
     assert episode.clock.rate_hz == pytest.approx(20)
-    assert {n: s.count for n, s in episode.streams.items()} == {
-        **dict.fromkeys(("/camera/agentview", "/camera/eye_in_hand", "/joint_states", "/joint_velocities"), steps),
-        **dict.fromkeys(("/gripper", "/eef_pose", "/cube_pose", "/contact"), steps),
-        "/action": steps - 1,
-    }
-    for batch in episode.read(["/camera/agentview", "/camera/eye_in_hand"]):
+    counts = {name: stream.count for name, stream in episode.streams.items()}
+    assert counts.pop("/action") == steps - 1
+    assert set(counts.values()) == {steps}
+    assert {"/camera/wrist", "/joint_states", "/joint_velocities", "/gripper", "/eef_pose", "/proprio"} <= set(counts)
+    assert {"/objects/akita_black_bowl_1", "/objects/plate_1", "/objects/flat_stove_1"} <= set(counts)
+    assert {"/contacts", "/predicates", "/measures", "/fixtures/wooden_cabinet_1"} <= set(counts)
+    for batch in episode.read(["/camera/front", "/camera/wrist"]):
         assert isinstance(batch, ImageBatch)
         assert batch.encoding == "jpeg"
-    _, cube = numbers(episode, "/cube_pose")
-    assert cube[-1, 2] - cube[0, 2] > 0.1
-    metadata = recorded_metadata(recorded / "pick_000.mcap")
-    assert (metadata["steps"], metadata["lifted"]) == (str(steps), "true")
-    assert json.loads(metadata["manner"]).keys() == {"aside_m", "turned_rad", "low_m", "hurried"}
+    _, bowl = numbers(episode, "/objects/akita_black_bowl_1")
+    _, plate = numbers(episode, "/objects/plate_1")
+    assert np.linalg.norm(bowl[-1, :2] - plate[-1, :2]) < 0.01
+    assert bowl[:, 2].max() - bowl[0, 2] > 0.02
+    names = episode.streams["/contacts"].names
+    _, contacts = numbers(episode, "/contacts")
+    assert contacts[:, names.index("gripper-akita_black_bowl_1")].any()
+    assert contacts[-1, names.index("akita_black_bowl_1-plate_1")] == 1
+    assert not contacts[0, names.index("akita_black_bowl_1-plate_1")]
 
 
 @pytest.mark.sim
-def test_a_seed_gives_the_same_bytes_in_another_process_and_in_silence(recorded, graphics, tmp_path):
-    code = (
-        "import sys\nfrom pathlib import Path\nfrom jiti.runtime.sim.record import record_demo\n"
-        f"record_demo(Path(sys.argv[1]), seed={SEED})\n"
+def test_the_outcome_in_the_metadata_is_what_the_trace_says(seen):
+    (path,) = seen.glob("*.mcap")
+    metadata = recorded_metadata(path)
+    assert (metadata["task"], metadata["seed"], metadata["quality"]) == ("elegant/T2", "3", "1")
+    assert (metadata["assets"], metadata["start"], metadata["cameras"]) == ("primitive", "jitter", "front wrist")
+    outcome = json.loads(metadata["outcome"])
+    reader = open_reader(seen)
+    trace, time_ns = read_trace(reader.open(reader.episodes()[0].episode_id))
+    (itc,) = TASK.itcs
+    verdict = judge(parse_goal(itc.goal), trace)
+    told = outcome["itcs"][itc.itc_id]
+    assert (told["satisfied"], told["step"]) == (verdict.satisfied, verdict.step)
+    assert len(time_ns) == outcome["steps"] == int(metadata["steps"])
+    assert outcome["success"]
+    assert outcome["elegant"] == verdict.satisfied
+
+
+@pytest.mark.sim
+def test_rerun_takes_the_recording(seen, tmp_path):
+    (path,) = seen.glob("*.mcap")
+    out = tmp_path / "episode.rrd"
+    rerun = Path(sys.executable).with_name("rerun")
+    done = subprocess.run(
+        [str(rerun), "mcap", "convert", str(path), "-o", str(out)], capture_output=True, text=True, check=False
     )
-    done = run_python(code, str(tmp_path), MUJOCO_GL=graphics.backend or "", PYTHONHASHSEED="1")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert [p.name for p in tmp_path.iterdir()] == ["pick_000.mcap"]
-    assert messages(tmp_path / "pick_000.mcap") == messages(recorded / "pick_000.mcap")
+    assert done.returncode == 0, done.stderr
+    assert out.stat().st_size > 100_000
 
 
 @pytest.mark.sim
-def test_a_recording_that_is_stopped_leaves_no_file(graphics, tmp_path):
+def test_a_seed_gives_the_same_messages_on_several_cores_in_other_processes_and_in_silence(blind, tmp_path):
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom jiti.runtime.sim.record import Plan, record\n"
+        "from jiti.tasks.catalogue import load_catalogue\n"
+        "if __name__ == '__main__':\n"
+        "    plan = Plan(load_catalogue().task('elegant/T2'), seed=3, cameras=())\n"
+        "    record(plan, Path(sys.argv[1]), episodes=2, workers=2)\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    folder = tmp_path / "again"
+    done = subprocess.run(
+        [sys.executable, str(script), str(folder)],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+        env=os.environ | {"PYTHONHASHSEED": "1", "TMPDIR": str(tmp_path)},
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    names = ["elegant-T2_0003.mcap", "elegant-T2_0004.mcap"]
+    assert sorted(p.name for p in folder.iterdir()) == names
+    for name in names:
+        assert messages(folder / name) == messages(blind / name)
+    assert messages(blind / names[0]) != messages(blind / names[1])
+    assert not list(tmp_path.glob("jiti-libero-*"))
+
+
+@pytest.mark.sim
+def test_a_recording_that_is_stopped_leaves_no_file(tmp_path):
     def stop(share: float, what: str) -> None:
-        if what.startswith("recording") and share > 0.05:
+        if what.startswith("recording el") and share > 0.05:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record_demo(tmp_path, seed=SEED, graphics=graphics, progress=stop)
+        record(BLIND, tmp_path, episodes=1, progress=stop)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.sim
-def test_the_demo_proposes_a_window_for_each_constraint_and_a_second_run_changes_nothing(recorded):
-    task = load_catalogue(TASK_FILE).task(TASK_ID)
-    summary = demo(recorded, seed=SEED)
-    (e,) = summary.episodes
-    assert (e.proposals, e.lifted, len(e.cameras)) == (len(task.itcs), True, 2)
-    assert str(recorded / "pick_000.mcap") in str(summary)
-    assert summary.task_file.read_bytes() == TASK_FILE.read_bytes()
-    rows = read_segments(summary.labels_dir).to_pylist()
-    assert {(r["annotator"], r["status"], r["source"], r["reward"]) for r in rows} == {
-        ("signal", "proposed", "signal", None)
-    }
-    assert {r["episode_id"] for r in rows} == {e.episode_id}
-    assert {r["itc_id"] for r in rows} == {itc.itc_id for itc in task.itcs}
-    assert all(0 <= r["start_frame"] <= r["end_frame"] < e.frame_count for r in rows)
+def test_a_killed_run_goes_on_where_it_was_and_leaves_no_half_file(blind, tmp_path):
+    shutil.copy(blind / "elegant-T2_0003.mcap", tmp_path)
+    before = (tmp_path / "elegant-T2_0003.mcap").stat()
+    with subprocess.Popen(command(tmp_path, "--episodes", "2", "--workers", "1"), stdout=subprocess.PIPE) as process:
+        wait_for(lambda: list(tmp_path.glob(".tmp-*")))
+        process.kill()
+    assert list(tmp_path.glob(".tmp-*"))  # which a kill cannot prevent
+    assert [p.name for p in tmp_path.glob("[!.]*.mcap")] == ["elegant-T2_0003.mcap"]
 
-    again = demo(recorded, seed=SEED)
-    assert again == summary
-    assert read_segments(summary.labels_dir).to_pylist() == rows
+    done = subprocess.run(
+        command(tmp_path, "--episodes", "2", "--workers", "1", "--json"), capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [e["kept"] for e in json.loads(done.stdout)["episodes"]] == [True, False]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["elegant-T2_0003.mcap", "elegant-T2_0004.mcap"]
+    after = (tmp_path / "elegant-T2_0003.mcap").stat()
+    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+    assert messages(tmp_path / "elegant-T2_0004.mcap") == messages(blind / "elegant-T2_0004.mcap")
 
 
 @pytest.mark.sim
-def test_a_stopped_demo_goes_on_and_without_pictures_it_records_numbers_and_says_so(recorded, tmp_path):
-    kept = tmp_path / "pick_000.mcap"
-    shutil.copy(recorded / kept.name, kept)
-    before = kept.stat()
-    code = (
-        "import sys\nfrom pathlib import Path\nfrom jiti.runtime.sim.demo import demo\n"
-        "say = lambda share, what: print(what) if share in (0, 1) else None\n"
-        f"print(demo(Path(sys.argv[1]), episodes=2, seed={SEED}, progress=say))\n"
-    )
-    done = run_python(code, str(tmp_path), MUJOCO_GL="off")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "MUJOCO_GL=off: recording without pictures" in done.stdout
-    assert "1 recorded, 1 kept" in done.stdout
-    assert "pick_000.mcap: " in done.stdout
-    assert "2 cameras, 4 proposals, cube lifted" in done.stdout
-    assert "0 cameras, 4 proposals, cube lifted" in done.stdout
-    assert recorded_metadata(tmp_path / "pick_001.mcap")["pictures"] == "none"
-    after = kept.stat()
-    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+def test_an_interrupt_stops_every_process_and_leaves_nothing(tmp_path):
+    with subprocess.Popen(
+        command(tmp_path, "--episodes", "4", "--workers", "2"), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        wait_for(lambda: list(tmp_path.glob(".tmp-*")))
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=100)
+    assert (process.returncode, out, error) == (130, b"", b"")
+    assert not list(tmp_path.glob(".tmp-*"))
 
 
-def test_another_recording_is_never_replaced(tmp_path):
-    path = tmp_path / "pick_000.mcap"
+@pytest.mark.sim
+def test_without_pictures_it_says_so_and_goes_on(blind, tmp_path):
+    shutil.copy(blind / "elegant-T2_0003.mcap", tmp_path)
+    said: list[str] = []
+    off = Graphics(None, "MUJOCO_GL=off: recording without pictures")
+    plan = Plan(TASK, seed=3)
+    (one,) = record(plan, tmp_path, episodes=1, graphics=off, progress=lambda _share, what: said.append(what))
+    assert said == ["MUJOCO_GL=off: recording without pictures", "0 recorded, 1 kept"]
+    assert (one.kept, one.cameras, one.success) == (True, (), True)
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("plan", "said"),
+    [
+        (Plan(TASK, seed=3, cameras=(), quality=0.1), r"quality '0.5' and not '0.1'.*--out"),
+        (Plan(TASK, seed=3, cameras=(), start="file"), r"start 'jitter' and not 'file'"),
+    ],
+)
+def test_recordings_of_another_plan_are_never_replaced(blind, plan, said):
+    before = (blind / "elegant-T2_0003.mcap").read_bytes()
+    with pytest.raises(UsageError, match=said):
+        record(plan, blind, episodes=1, graphics=NOWHERE)
+    assert (blind / "elegant-T2_0003.mcap").read_bytes() == before
+
+
+def test_another_file_of_that_name_is_never_replaced(tmp_path):
+    path = tmp_path / "elegant-T2_0003.mcap"
     path.write_bytes(b"not a recording")
-    with pytest.raises(UsageError, match=r"pick_000\.mcap is another recording.*move that file away"):
-        record_demo(tmp_path, graphics=NOWHERE)
+    with pytest.raises(UsageError, match=r"elegant-T2_0003\.mcap is another recording.*Move that file away"):
+        record(BLIND, tmp_path, episodes=1)
     assert path.read_bytes() == b"not a recording"
 
 
-@pytest.mark.sim
-def test_another_seed_needs_another_folder(recorded):
-    with pytest.raises(UsageError, match=rf"a recording with seed {SEED}.*Choose another folder for seed 1"):
-        record_demo(recorded, seed=1, graphics=NOWHERE)
-
-
-def test_the_task_file_is_found_by_its_instruction_with_one_constraint_a_criterion():
-    task = load_catalogue(TASK_FILE).match(INSTRUCTION)
-    assert task is not None
-    assert task.task_id == TASK_ID
-    assert len({itc.criterion for itc in task.itcs}) == len(task.itcs) == 4
-
-
-@pytest.mark.parametrize("package", ["mujoco", "robosuite"])
-def test_without_the_simulator_the_message_says_what_to_install(tmp_path, monkeypatch, package):
-    monkeypatch.setitem(sys.modules, package, None)  # Python's own way to say that there is none
-    with pytest.raises(UsageError, match=rf"{package}, which simulates .* pip install 'jiti\[sim\]'"):
-        record_demo(tmp_path)
+def test_what_cannot_be_recorded_is_said(tmp_path):
+    with pytest.raises(UsageError, match="give 1 or more"):
+        record(BLIND, tmp_path, episodes=0)
+    with pytest.raises(UsageError, match="so100/T0 is not a task of simulation"):
+        record(Plan(load_catalogue().task("so100/T0")), tmp_path, episodes=1)
+    with pytest.raises(UsageError, match=r"--quality 1\.5 is not in 0 to 1"):
+        Plan(TASK, quality=1.5)
+    with pytest.raises(UsageError, match=r"there is no camera 'side'; there are: front, wrist"):
+        Plan(TASK, cameras=("side",))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_episode_is_no_demo(tmp_path):
-    with pytest.raises(UsageError, match="give 1 or more"):
-        record_demo(tmp_path, episodes=0)
+@pytest.mark.parametrize("package", ["libero", "robosuite", "mujoco"])
+def test_without_the_simulator_the_message_says_what_to_install(tmp_path, package):
+    code = (
+        f"import sys\nsys.modules[{package!r}] = None\n"  # Python's own way to say that there is none
+        "from jiti.cli import main\n"
+        f"sys.argv = 'jiti record --task T2 --cameras none --workers 1 --out'.split() + [{str(tmp_path)!r}]\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.startswith("jiti: ")
+    assert "pip install 'jiti[sim]'" in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_picture_survives_as_jpeg_the_same_each_time():
@@ -188,13 +276,3 @@ def test_a_picture_survives_as_jpeg_the_same_each_time():
     (frame,) = decoder.decode(av.Packet(data))
     back = frame.to_ndarray(format="rgb24")
     assert np.abs(back.astype(int) - picture).mean() < 3
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5, 3.1, np.pi])
-def test_a_quaternion_turns_as_its_matrix_does(angle):
-    cos, sin = np.cos(angle), np.sin(angle)
-    matrix = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
-    x, y, z, w = quaternion_xyzw(matrix)
-    assert w >= 0
-    np.testing.assert_allclose([abs(x), y, z, w], [np.sin(angle / 2), 0, 0, np.cos(angle / 2)], atol=1e-9)
-    assert x * sin >= 0

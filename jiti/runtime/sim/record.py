@@ -1,82 +1,222 @@
-"""Scripted picks, recorded to MCAP the way a recorder on a robot would."""
+"""`jiti record`: demonstrations of one task as a folder of recordings, on all cores, going on where it was stopped."""
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
-from fractions import Fraction
+import multiprocessing
+import os
+import re
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
-import av
-import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from jiti.episodes.mcap_writer import METADATA_NAME, McapWriter
+from jiti.durable import make_folder
+from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.errors import UsageError
 from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.gl import Graphics, find_graphics
-from jiti.runtime.sim.lift import (
-    ACTION_NAMES,
-    ARM_JOINTS,
-    CAMERAS,
-    CONTROL_HZ,
-    FINGER_JOINTS,
-    INSTRUCTION,
-    PICTURE_SIZE,
-    TASK_ID,
-    LiftScene,
-    Observation,
-)
-from jiti.runtime.sim.pick import ScriptedPick, draw_manner
-
-START_NS = 1_735_689_600_000_000_000
-"""Log time of the first frame: 2025-01-01, 00:00 UTC. Fixed, so that one seed always gives the same bytes."""
-JPEG_QUANTIZER = 3
-"""Of FFmpeg's mjpeg encoder, 2 (best) to 31. Our choice: no visible blocks, 10 to 15 kB a picture."""
-TYPICAL_STEPS = 80
-"""Steps of an episode, for progress alone. Measured: 68 to 90."""
+from jiti.runtime.sim.libero import PRIMITIVE, bddl_file, pack_folder
+from jiti.runtime.sim.record_episode import OUTCOME, record_episode
+from jiti.runtime.sim.scene import CAMERAS, Scene, Start
+from jiti.tasks.task import Task
 
 Progress = Callable[[float, str], None]
 """Called with the share that is done, 0 to 1, and what is being done."""
+TYPICAL_STEPS = 200
+"""Steps of an episode, for progress alone."""
 
 
-def record_demo(
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to record. Episode k of a plan is the same whatever else is recorded with it."""
+
+    task: Task
+    quality: float = 0.5
+    """Chance that an episode is meant to be elegant; 0 to 1."""
+    seed: int = 0
+    """Seed of the first episode; episode k has seed + k."""
+    start: Start = "jitter"
+    assets: str | None = None
+    """Asset pack: a folder, "primitive" (the default) or "libero"."""
+    cameras: tuple[str, ...] = ("front", "wrist")
+    picture_size: int = 256
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.quality <= 1:
+            raise UsageError(f"--quality {self.quality:g} is not in 0 to 1")
+        if self.seed < 0:
+            raise UsageError(f"--seed {self.seed} is negative; give 0 or more")
+        for camera in self.cameras:
+            if camera not in CAMERAS:
+                raise UsageError(f"there is no camera {camera!r}; there are: {', '.join(CAMERAS)}, or none")
+
+    def path(self, folder: Path, number: int) -> Path:
+        """Where episode `number` goes."""
+        return folder / f"{self.task.task_id.replace('/', '-')}_{self.seed + number:04d}.mcap"
+
+    def scene(self, graphics: Graphics) -> Scene:
+        """A scene to record in."""
+        return Scene(
+            self.task, assets=self.assets, graphics=graphics, cameras=self.cameras, picture_size=self.picture_size
+        )
+
+    def about(self, number: int, graphics: Graphics) -> dict[str, str]:
+        """What is written in a recording of what made it."""
+        return {
+            "task": self.task.task_id,
+            "seed": str(self.seed + number),
+            "quality": f"{self.quality:g}",
+            "start": self.start,
+            "assets": self.pack_name,
+            "cameras": " ".join(self.cameras if graphics.backend else ()),
+            "picture_size": str(self.picture_size),
+        }
+
+    @property
+    def pack_name(self) -> str:
+        """Of the asset pack; a folder's own name, so that no path of this machine gets into a recording."""
+        return "primitive" if self.assets in (None, "primitive", str(PRIMITIVE)) else Path(self.assets).name
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One recording, as its metadata has it."""
+
+    path: Path
+    seed: int
+    steps: int
+    success: bool
+    elegant: bool
+    cameras: tuple[str, ...]
+    kept: bool
+    """Whether it was there before this run."""
+
+
+def record(
+    plan: Plan,
     folder: Path,
     *,
-    episodes: int = 1,
-    seed: int = 0,
+    episodes: int,
+    workers: int | None = None,
     graphics: Graphics | None = None,
     progress: Progress | None = None,
-) -> list[Path]:
-    """Record picks of a cube as `folder/pick_000.mcap` and on, and give their paths.
+) -> list[Recorded]:
+    """Record episodes 0 to `episodes` - 1 of a plan into `folder`, those that are not there yet.
 
-    Recordings that are there already are kept, so that a stopped run goes on where it was. Without a GL library they
-    hold numbers only. One seed gives the same messages on one machine, byte for byte. Raises UsageError when the
-    simulation cannot run here or a file of that name holds something else, SaveFailed when the disk refuses.
+    A recording has its name only once it is whole, so a stopped run goes on where it was. Without a GL library there
+    are no pictures. Raises UsageError when the simulation cannot run here or a file of that name holds something else,
+    SaveFailed when the disk refuses.
     """
     report = progress or (lambda _share, _what: None)
     if episodes < 1:
         raise UsageError(f"{episodes} episodes cannot be recorded; give 1 or more")
-    paths = [folder / f"pick_{number:03d}.mcap" for number in range(episodes)]
-    missing = [number for number, path in enumerate(paths) if not _is_kept(path, seed, number)]
-    if missing:
-        find_robosuite()
-        graphics = graphics or find_graphics()
-        report(0.0, graphics.message)
-        for done, number in enumerate(missing):
+    if plan.task.bddl is None:
+        raise UsageError(f"{plan.task.task_id} is not a task of simulation; `jiti tasks` lists all")
+    find_robosuite()
+    bddl_file(plan.task.bddl)
+    pack_folder(plan.assets)
+    graphics = graphics or (find_graphics() if plan.cameras else Graphics(None, "recording without pictures"))
+    paths = [plan.path(folder, number) for number in range(episodes)]
+    kept = {number for number, path in enumerate(paths) if _is_kept(path, plan, number, graphics)}
+    missing = [number for number in range(episodes) if number not in kept]
+    make_folder(folder)
+    _remove_leftovers(folder, paths)
+    report(0.0, graphics.message if plan.cameras else "recording without cameras")
+    workers = min(workers or len(os.sched_getaffinity(0)), max(1, len(missing)))
+    if workers == 1:
+        _record_here(plan, folder, missing, graphics, report)
+    else:
+        _record_apart(plan, folder, missing, graphics, report, workers)
+    report(1.0, f"{len(missing)} recorded, {len(kept)} kept")
+    return [_recorded(path, number in kept) for number, path in enumerate(paths)]
+
+
+def _record_here(plan: Plan, folder: Path, numbers: Sequence[int], graphics: Graphics, report: Progress) -> None:
+    if not numbers:
+        return
+    with plan.scene(graphics) as scene:
+        for done, number in enumerate(numbers):
 
             def step(count: int, done: int = done, number: int = number) -> None:
-                share = (done + min(count / TYPICAL_STEPS, 1.0)) / len(missing)
-                report(share, f"recording {paths[number].name}")
+                share = (done + min(count / TYPICAL_STEPS, 1.0)) / len(numbers)
+                report(share, f"recording {plan.path(folder, number).name}")
 
-            _record(paths[number], seed, number, graphics, step)
-    report(1.0, f"{len(missing)} recorded, {episodes - len(missing)} kept")
-    return paths
+            _one(plan, folder, number, graphics, scene, step)
+
+
+def _record_apart(
+    plan: Plan, folder: Path, numbers: Sequence[int], graphics: Graphics, report: Progress, workers: int
+) -> None:
+    """In processes of their own: MuJoCo holds the interpreter, and its renderers do not survive a fork."""
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(stop,)) as pool:
+        jobs = {pool.submit(_in_worker, plan, folder, number, graphics): number for number in numbers}
+        try:
+            for done, job in enumerate(as_completed(jobs), start=1):
+                job.result()
+                report(done / len(numbers), f"recorded {plan.path(folder, jobs[job]).name}")
+        except BrokenProcessPool as error:
+            raise UsageError(
+                "a recording process was ended from outside, perhaps for want of memory. What is finished is kept: run "
+                "the same command again, with fewer --workers."
+            ) from error
+        finally:
+            stop.set()
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Stopped(Exception):
+    """Ends a recording that no one waits for any more."""
+
+
+_stop: Any = None
+_scenes: dict[tuple[Plan, Graphics], Scene] = {}
+"""Of a worker, which serves one plan: building a scene takes as long as an episode."""
+
+
+def _begin_worker(stop: Any) -> None:
+    global _stop
+    _stop = stop
+    # Ctrl-C reaches every process of a terminal; the one that asked says when to stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _in_worker(plan: Plan, folder: Path, number: int, graphics: Graphics) -> None:
+    def step(_count: int) -> None:
+        parent = multiprocessing.parent_process()
+        if _stop.is_set() or (parent is not None and not parent.is_alive()):
+            raise _Stopped
+
+    if (plan, graphics) not in _scenes:
+        scene = _scenes[plan, graphics] = plan.scene(graphics)
+        Finalize(None, scene.close, exitpriority=1)  # what is registered with atexit is not called in a worker
+    _one(plan, folder, number, graphics, _scenes[plan, graphics], step)
+
+
+def _one(
+    plan: Plan, folder: Path, number: int, graphics: Graphics, scene: Scene, progress: Callable[[int], None]
+) -> None:
+    record_episode(
+        plan.path(folder, number),
+        scene,
+        seed=plan.seed + number,
+        quality=plan.quality,
+        start=plan.start,
+        about=plan.about(number, graphics),
+        progress=progress,
+    )
 
 
 def recorded_metadata(path: Path) -> Mapping[str, str]:
-    """What the recorder wrote of itself in a recording: task, seed, episode, manner, steps, lifted, ...
+    """What the recorder wrote of itself in a recording: task, seed, quality, steps, outcome, ...
 
     Empty when it wrote nothing, or the file cannot be read.
     """
@@ -88,92 +228,47 @@ def recorded_metadata(path: Path) -> Mapping[str, str]:
     return {key: value for record in records for key, value in record.items()}
 
 
-def _is_kept(path: Path, seed: int, number: int) -> bool:
+def _is_kept(path: Path, plan: Plan, number: int, graphics: Graphics) -> bool:
     if not path.exists():
         return False
-    found = recorded_metadata(path)
-    if (found.get("task"), found.get("seed"), found.get("episode")) != (TASK_ID, str(seed), str(number)):
-        what = f"a recording with seed {found['seed']}" if "seed" in found else "another recording"
+    found, wanted = recorded_metadata(path), plan.about(number, graphics)
+    if OUTCOME not in found:
+        raise UsageError(f"{path} is another recording, and recordings are not replaced. Move that file away.")
+    other = [f"{key} {found.get(key)!r} and not {value!r}" for key, value in wanted.items() if found.get(key) != value]
+    if other:
         raise UsageError(
-            f"{path} is {what}, and recordings are not replaced. "
-            f"Choose another folder for seed {seed}, or move that file away."
+            f"{path} was recorded with {', '.join(other)}, and recordings are not replaced. "
+            "Choose another folder with --out, or move that file away."
         )
     return True
 
 
-def _record(path: Path, seed: int, number: int, graphics: Graphics, progress: Callable[[int], None]) -> None:
-    # Streams of their own for the scene and the script: an episode does not depend on those before it.
-    scene_seed, script_seed = np.random.SeedSequence([seed, number]).spawn(2)
-    random = np.random.default_rng(script_seed)
-    manner = draw_manner(random)
-    script = ScriptedPick(manner, random)
-    about = {
-        "task": TASK_ID,
-        "seed": str(seed),
-        "episode": str(number),
-        "manner": json.dumps(asdict(manner)),
-        "pictures": graphics.backend or "none",
-    }
-    with (
-        LiftScene(graphics, seed=int(scene_seed.generate_state(1)[0])) as scene,
-        McapWriter(path, instruction=INSTRUCTION, metadata=about) as writer,
-    ):
-        count = 0
-        while True:
-            seen = scene.observe()
-            action = script.act(seen)
-            time_ns = START_NS + count * (1_000_000_000 // CONTROL_HZ)
-            _write(writer, time_ns, seen, action)
-            count += 1
-            progress(count)
-            if action is None:
-                break
-            scene.step(action)
-        writer.write_metadata(METADATA_NAME, {"steps": str(count), "lifted": "true" if scene.is_lifted() else "false"})
+def _recorded(path: Path, kept: bool) -> Recorded:
+    found = recorded_metadata(path)
+    outcome: dict[str, Any] = json.loads(found[OUTCOME])
+    cameras = tuple(found["cameras"].split())
+    return Recorded(path, int(found["seed"]), outcome["steps"], outcome["success"], outcome["elegant"], cameras, kept)
 
 
-def _write(writer: McapWriter, time_ns: int, seen: Observation, action: np.ndarray | None) -> None:
-    """One step: what was seen, and the action that was then taken; the last step has none."""
-    for camera in CAMERAS:
-        if camera in seen.pictures:
-            name = camera.removeprefix("robot0_")
-            writer.write_picture(f"/camera/{name}", time_ns, jpeg(seen.pictures[camera]), frame_id=name)
-    writer.write_joints(
-        "/joint_states",
-        time_ns,
-        [*ARM_JOINTS, *FINGER_JOINTS],
-        [*seen.joint_rad, *seen.finger_m],
-    )
-    writer.write_vector("/joint_velocities", time_ns, ARM_JOINTS, seen.joint_rad_s.tolist())
-    writer.write_vector("/gripper", time_ns, ["opening_m"], [seen.opening_m])
-    for topic, pose in (("/eef_pose", seen.world_T_hand), ("/cube_pose", seen.world_T_cube)):
-        writer.write_pose(topic, time_ns, pose[:3, 3].tolist(), quaternion_xyzw(pose).tolist(), frame_id="world")
-    # Fingers that touch the cube, 0 to 2, and whether the gripper touches the table.
-    writer.write_vector("/contact", time_ns, ["cube", "table"], [sum(seen.touches_cube), seen.touches_table])
-    if action is not None:
-        writer.write_vector("/action", time_ns, ACTION_NAMES, action.tolist())
+def _remove_leftovers(folder: Path, paths: Sequence[Path]) -> None:
+    """Unfinished files of runs that were killed: their names say whose they were."""
+    names = {path.name for path in paths}
+    for path in folder.glob(".tmp-*.mcap"):
+        found = re.fullmatch(r"\.tmp-(\d+)-[0-9a-f]+-(.+)", path.name)
+        if found and found[2] in names and not Path("/proc", found[1]).exists():
+            with suppress(OSError):
+                path.unlink()
 
 
-def jpeg(picture: np.ndarray) -> bytes:
-    """An RGB picture (256, 256, 3) uint8 as a JPEG file; the same picture always gives the same bytes."""
-    codec: Any = av.CodecContext.create("mjpeg", "w")
-    codec.width = codec.height = PICTURE_SIZE
-    codec.pix_fmt, codec.time_base, codec.thread_count = "yuvj420p", Fraction(1, CONTROL_HZ), 1
-    codec.qmin = codec.qmax = JPEG_QUANTIZER
-    frame = av.VideoFrame.from_ndarray(picture, "rgb24").reformat(format="yuvj420p", dst_color_range="JPEG")
-    return b"".join(bytes(packet) for packet in [*codec.encode(frame), *codec.encode(None)])
-
-
-def quaternion_xyzw(pose: np.ndarray) -> np.ndarray:
-    """(4,) unit quaternion of a rotation (3, 3) or pose (4, 4), w not negative (Bar-Itzhack 2000, version 3)."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = pose[:3, :3]
-    symmetric = np.array(
-        [
-            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
-            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
-            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
-            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
-        ]
-    )
-    quaternion = np.linalg.eigh(symmetric)[1][:, -1]
-    return quaternion if quaternion[3] >= 0 else -quaternion
+def print_recorded(recorded: Sequence[Recorded], folder: Path, *, as_json: bool = False) -> None:
+    """Tell on standard output what is there now."""
+    success = sum(one.success for one in recorded)
+    elegant = sum(one.elegant for one in recorded)
+    if as_json:
+        episodes = [{**asdict(one), "path": str(one.path)} for one in recorded]
+        told = {"folder": str(folder), "success": success, "elegant": elegant, "episodes": episodes}
+        print(json.dumps(told, indent=2))
+        return
+    kept = sum(one.kept for one in recorded)
+    print(f"{folder}: {len(recorded)} episodes, {success} successful, {elegant} elegant; {kept} were there before.")
+    print(f"`jiti autolabel {folder}` proposes segments from the simulator, `jiti annotate {folder}` opens them.")

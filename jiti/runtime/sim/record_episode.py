@@ -1,0 +1,86 @@
+"""One scripted demonstration as an MCAP file, the way a recorder on a robot would write it."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from jiti.episodes.mcap_contents import METADATA_NAME
+from jiti.episodes.mcap_writer import McapWriter
+from jiti.runtime.sim.demonstrators import demonstrator_for
+from jiti.runtime.sim.episode import run_episode
+from jiti.runtime.sim.monitor import Monitor, Outcome
+from jiti.runtime.sim.pictures import jpeg
+from jiti.runtime.sim.proprio import PROPRIO_NAMES, proprio
+from jiti.runtime.sim.rotation import quaternion_xyzw
+from jiti.runtime.sim.scene import ACTION_NAMES, ARM_JOINTS, CONTROL_HZ, FINGER_JOINTS, Scene, Start
+from jiti.runtime.sim.world import GRIPPER
+
+START_NS = 1_735_689_600_000_000_000
+"""Log time of the first frame: 2025-01-01, 00:00 UTC. Fixed, so that one seed always gives the same messages."""
+STEP_NS = 1_000_000_000 // CONTROL_HZ
+OUTCOME = "outcome"
+"""Key in the metadata under which the outcome stands, as JSON."""
+
+
+def record_episode(
+    path: Path,
+    scene: Scene,
+    *,
+    seed: int,
+    quality: float,
+    start: Start,
+    about: Mapping[str, str],
+    progress: Callable[[int], None] = lambda _step: None,
+) -> Outcome:
+    """Demonstrate the scene's task once, from a seed, and write what happened to `path`.
+
+    The same arguments give the same messages on one machine, byte for byte. An exception leaves no file. Raises
+    SaveFailed when the disk refuses.
+    """
+    scene.reset(seed, start)
+    monitor = Monitor(scene)
+    actor = demonstrator_for(scene, quality, np.random.default_rng([seed, 1]))
+    with McapWriter(path, instruction=scene.task.instruction, metadata=about) as writer:
+
+        def watch(step: int, action: np.ndarray | None) -> None:
+            _write(writer, START_NS + step * STEP_NS, scene, monitor, action)
+            progress(step)
+
+        outcome = run_episode(monitor, actor, scene.step, watch)
+        writer.write_metadata(METADATA_NAME, {OUTCOME: json.dumps(outcome.to_json()), "steps": str(outcome.steps)})
+    return outcome
+
+
+def _write(writer: McapWriter, time_ns: int, scene: Scene, monitor: Monitor, action: np.ndarray | None) -> None:
+    """One step: what was seen, and the action that was then taken; the last step has none."""
+    world = scene.world
+    for camera in scene.cameras:
+        writer.write_picture(f"/camera/{camera}", time_ns, jpeg(scene.render(camera)), frame_id=camera)
+    fingers = scene.finger_m
+    writer.write_joints("/joint_states", time_ns, [*ARM_JOINTS, *FINGER_JOINTS], [*scene.joint_rad, *fingers])
+    writer.write_vector("/joint_velocities", time_ns, ARM_JOINTS, scene.joint_rad_s)
+    writer.write_vector("/gripper", time_ns, ["opening_m"], [float(np.abs(fingers).sum())])
+    writer.write_vector("/proprio", time_ns, PROPRIO_NAMES, proprio(scene))
+    _write_pose(writer, "/eef_pose", time_ns, scene.world_T_eef)
+    for name in (*world.names.objects, *world.names.fixtures):
+        _write_pose(writer, f"/objects/{name}", time_ns, world.pose(name))
+    for name in world.names.fixtures:
+        if len(joints := world.joints(name)):
+            writer.write_vector(f"/fixtures/{name}", time_ns, [f"joint_{k}" for k in range(len(joints))], joints)
+    touched = world.contacts()
+    things = (*world.names.objects, *world.names.fixtures)
+    pairs = [(GRIPPER, name) for name in things]
+    pairs += [(a, b) for a in scene.interest if a in world.names.objects for b in things if a != b]
+    writer.write_vector("/contacts", time_ns, [f"{a}-{b}" for a, b in pairs], [float(p in touched) for p in pairs])
+    writer.write_vector("/predicates", time_ns, monitor.predicates, [float(h) for h in monitor.holds])
+    # What cannot be measured, as a height over nothing, is missing and not infinite: plots take no infinity.
+    measured = [m if np.isfinite(m) else float("nan") for m in monitor.measured]
+    writer.write_vector("/measures", time_ns, monitor.measures, measured)
+    if action is not None:
+        writer.write_vector("/action", time_ns, ACTION_NAMES, action)
+
+
+def _write_pose(writer: McapWriter, topic: str, time_ns: int, pose: np.ndarray) -> None:
+    writer.write_pose(topic, time_ns, pose[:3, 3], quaternion_xyzw(pose), frame_id="world")
