@@ -1,35 +1,21 @@
-"""`jiti demo`: a scripted pick recorded, read back, and proposals made where its gripper moves."""
+"""`jiti demo`: a benchmark task demonstrated well and badly, read back, and judged by the simulator for review."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from jiti.annotate.labels import read_segments
-from jiti.annotate.proposals import write_proposals
-from jiti.annotate.segment_file import Recording
-from jiti.annotate.signals import ANNOTATOR, propose_segments
-from jiti.durable import write_atomic
+from jiti.annotate.autolabel import Autolabelled, autolabel
 from jiti.episodes.episode import Episode
 from jiti.episodes.reader import open_reader
 from jiti.errors import LabelError, SourceError
-from jiti.runtime.sim.lift import TASK_FILE
-from jiti.runtime.sim.record import Progress, record_demo, recorded_metadata
+from jiti.runtime.sim.record import Plan, Progress, Recorded, record
 from jiti.tasks.catalogue import load_catalogue
 
 DEMO_FOLDER = Path("jiti-demo")
 """In the current folder."""
-
-
-@dataclass(frozen=True, slots=True)
-class DemoEpisode:
-    """One recording, as it reads back."""
-
-    path: Path
-    episode_id: str
-    frame_count: int
-    cameras: tuple[str, ...]
-    lifted: bool
-    """Whether the cube stood over the table at the end."""
-    proposals: int
+DEMO_TASK = "elegant/T2"
+"""The bowl on the plate: its ITC is the one that a person sees best."""
+DEMO_EPISODES = 2
+"""Our choice: with quality 0.5 and the default seed one is elegant and one is not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,72 +23,54 @@ class DemoSummary:
     """What `demo` made, all of it read back from the disk. Its text is for a person."""
 
     folder: Path
-    labels_dir: Path
-    task_file: Path
-    """The task that was recorded, in `folder`: what `--tasks` needs to know its constraints."""
-    episodes: tuple[DemoEpisode, ...]
+    episodes: tuple[Recorded, ...]
+    labelled: Autolabelled
 
     def __str__(self) -> str:
         lines = [
-            f"{e.path}: {e.frame_count} frames, {len(e.cameras)} cameras, {e.proposals} proposals, "
-            f"cube {'lifted' if e.lifted else 'not lifted'}"
+            f"{e.path}: {e.steps} frames, {len(e.cameras)} cameras, "
+            f"{'elegant' if e.elegant else 'successful but not elegant' if e.success else 'not successful'}"
             for e in self.episodes
         ]
-        return "\n".join([*lines, f"Proposals are in {self.labels_dir}, the task in {self.task_file}."])
+        return "\n".join([*lines, str(self.labelled)])
 
 
 def demo(
-    folder: Path = DEMO_FOLDER, *, episodes: int = 1, seed: int = 0, progress: Progress | None = None
+    folder: Path = DEMO_FOLDER,
+    *,
+    task: str = DEMO_TASK,
+    episodes: int = DEMO_EPISODES,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> DemoSummary:
-    """Record scripted picks into `folder`, propose segments for them, and check that all of it reads back.
+    """Record demonstrations of a benchmark task into `folder`, propose what the simulator saw, and check it.
 
-    What is there already is kept: recordings with this seed, the task file, what people decided. Raises
-    UsageError when the simulation cannot run here, SaveFailed when the disk refuses, SourceError or LabelError when
-    something does not read back as it was written.
+    What is there already is kept: recordings of this task and seed, what people decided. Raises UsageError when the
+    simulation cannot run here, SaveFailed when the disk refuses, SourceError or LabelError when something does not read
+    back as it was written.
     """
-    paths = record_demo(folder, episodes=episodes, seed=seed, progress=progress)
-    task_file = folder / "tasks.toml"
-    if not task_file.exists():
-        write_atomic(task_file, TASK_FILE.read_bytes())
+    catalogue = load_catalogue()
+    plan = Plan(catalogue.simulated(task), seed=seed)
+    recorded = record(plan, folder, episodes=episodes, progress=progress)
     reader = open_reader(folder)
-    labels_dir = Path(reader.labels_dir)
-    by_path = {path.stem: path for path in paths}
-    found = []
-    for ref in reader.episodes():
-        path = by_path.pop(ref.title.removesuffix(".mcap"), None)
-        if path is not None:
-            found.append(_propose(path, reader.open(ref.episode_id), labels_dir))
-    if by_path:
-        missing = ", ".join(str(path) for path in by_path.values())
-        raise SourceError(f"{missing} was recorded but is not listed in {folder}. Delete the folder and run it again.")
-    return DemoSummary(folder, labels_dir, task_file, tuple(found))
+    _check(recorded, {ref.title: reader.open(ref.episode_id) for ref in reader.episodes()})
+    labelled = autolabel(reader, catalogue, Path(reader.labels_dir), source="sim")
+    if labelled.proposals < len(recorded):
+        raise LabelError(f"{len(recorded)} episodes were recorded, but {labelled.labels_dir} holds fewer proposals")
+    return DemoSummary(folder, tuple(recorded), labelled)
 
 
-def _propose(path: Path, episode: Episode, labels_dir: Path) -> DemoEpisode:
-    metadata = recorded_metadata(path)
-    _check_counts(path, episode, int(metadata.get("steps", 0)))
-    clock = episode.clock
-    proposals = propose_segments(episode, load_catalogue(TASK_FILE).for_instruction(episode.task))
-    recording = Recording(clock.frame_count, clock.rate_hz, episode.fingerprint)
-    count = write_proposals(labels_dir, ANNOTATOR, episode.episode_id, proposals, recording)
-    rows = read_segments(labels_dir, annotators=[ANNOTATOR], episodes=[episode.episode_id])
-    if rows.num_rows != count:
-        raise LabelError(f"{count} proposals for {path} were written to {labels_dir}, but {rows.num_rows} read back")
-    cameras = tuple(name for name, stream in episode.streams.items() if stream.kind == "camera")
-    lifted = metadata.get("lifted") == "true"
-    return DemoEpisode(path, episode.episode_id, clock.frame_count, cameras, lifted, count)
-
-
-def _check_counts(path: Path, episode: Episode, steps: int) -> None:
+def _check(recorded: tuple[Recorded, ...] | list[Recorded], episodes: dict[str, Episode]) -> None:
     """Every step is a frame, and every camera has a picture of each. Raises SourceError."""
-    if episode.problems:
-        raise SourceError(f"{path} does not read back well: {episode.problems[0]}")
-    counts = {name: s.count for name, s in episode.streams.items() if s.kind == "camera"}
-    counts = (
-        {**counts, "frames": episode.clock.frame_count} if counts else {"/gripper": episode.streams["/gripper"].count}
-    )
-    for name, count in counts.items():
-        if count != steps:
-            raise SourceError(
-                f"{path}: {steps} steps were recorded, but {name} has {count}. Delete it and run it again."
-            )
+    for one in recorded:
+        episode = episodes.get(one.path.name)
+        if episode is None:
+            raise SourceError(f"{one.path} was recorded but is not listed. Delete the folder and run it again.")
+        if episode.problems:
+            raise SourceError(f"{one.path} does not read back well: {episode.problems[0]}")
+        counts = {name: s.count for name, s in episode.streams.items() if s.kind == "camera" or name == "/gripper"}
+        for name, count in counts.items():
+            if count != one.steps:
+                raise SourceError(
+                    f"{one.path}: {one.steps} steps were recorded, but {name} has {count}. Delete it and run it again."
+                )
