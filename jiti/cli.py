@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,22 @@ from jiti.errors import JitiError, UsageError
 
 if TYPE_CHECKING:
     from jiti.annotate.web.session import Session
+
+
+class ProposalSource(StrEnum):
+    """Who proposes segments."""
+
+    sim = "sim"
+    signal = "signal"
+
+
+class Start(StrEnum):
+    """Where episodes in simulation begin."""
+
+    jitter = "jitter"
+    file = "file"
+    sampled = "sampled"
+
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -33,6 +50,9 @@ Tasks = Annotated[
 ]
 Labels = Annotated[Path | None, typer.Option("--labels", help="Folder of the labels. Default: beside the recordings.")]
 Annotator = Annotated[str | None, typer.Option("--annotator", help="Who labels. Default: your login name.")]
+Assets = Annotated[
+    str | None, typer.Option("--assets", help="Asset pack: primitive (the default), libero, or a folder.")
+]
 Port = Annotated[
     int, typer.Option("--port", min=0, max=65535, show_default=False, help="Port on 127.0.0.1. Default: any free one.")
 ]
@@ -145,34 +165,134 @@ def inspect(source: Source = None, as_json: Json = False) -> None:
         raise typer.Exit(1)
 
 
-@app.command(short_help="List tasks and their constraints (ITCs).")
-def tasks(tasks: Tasks = None, as_json: Json = False) -> None:
+tasks_app = typer.Typer()
+app.add_typer(tasks_app, name="tasks", short_help="List tasks and their constraints (ITCs).")
+
+
+@tasks_app.callback(invoke_without_command=True)
+def tasks(context: typer.Context, tasks: Tasks = None, as_json: Json = False) -> None:
     """List the tasks and their Implicit Task Constraints (ITCs).
 
     Example: jiti tasks --tasks mine.toml
     """
     from jiti.tasks.catalogue import load_catalogue, print_catalogue
 
-    print_catalogue(load_catalogue(*tasks or ()), as_json=as_json)
+    if context.invoked_subcommand is None:
+        print_catalogue(load_catalogue(*tasks or ()), as_json=as_json)
+    elif tasks or as_json:
+        name = context.invoked_subcommand
+        raise UsageError(f"options of `jiti tasks {name}` come after its name: jiti tasks {name} --json")
 
 
-@app.command(short_help="Record a scripted pick, then annotate it.")
+@tasks_app.command(short_help="Tell what an asset pack lacks for them.")
+def check(assets: Assets = None, tasks: Tasks = None, as_json: Json = False) -> None:
+    """Tell what an asset pack lacks for the tasks in simulation. Exits with 1 when it lacks something.
+
+    Example: jiti tasks check --assets my-pack
+    """
+    from jiti.runtime.sim.pack_check import check_pack, find_pack, print_check
+    from jiti.tasks.catalogue import load_catalogue
+
+    pack = find_pack(assets)
+    with _progress("Checking") as progress:
+        lacks = check_pack(pack, load_catalogue(*tasks or ()), progress)
+    print_check(pack, lacks, as_json=as_json)
+    raise typer.Exit(1 if lacks else 0)
+
+
+@app.command(short_help="Propose segments for a person to review.")
+def autolabel(
+    source: Source = None,
+    by: Annotated[
+        ProposalSource | None,
+        typer.Option(
+            "--from",
+            help="Who proposes: the simulator's trace (sim) or the recording's own numbers (signal). "
+            "Default: the simulator, where it recorded.",
+        ),
+    ] = None,
+    labels: Labels = None,
+    tasks: Tasks = None,
+    as_json: Json = False,
+) -> None:
+    """Propose a segment for every constraint of every episode. What people decided stays.
+
+    Example: jiti autolabel demos --from sim
+    """
+    from jiti.annotate.autolabel import autolabel as propose
+    from jiti.annotate.autolabel import best_source
+    from jiti.annotate.web.session import open_session
+
+    session = open_session(source, annotator=None, labels=labels, tasks=tasks)
+    with _progress("Proposing") as progress:
+        done = propose(
+            session.reader,
+            session.catalogue,
+            session.store.labels_dir,
+            source=by.value if by else best_source(session.reader),
+            progress=progress,
+        )
+    print(done.to_json() if as_json else done)
+
+
+@app.command(short_help="Record demonstrations in simulation.")
+def record(
+    task: Annotated[str, typer.Option("--task", help="A task of simulation: T2, rq3/seen-A, close-microwave.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the recordings. Default: jiti-TASK.")] = None,
+    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes that are there in the end.")] = 10,
+    quality: Annotated[
+        float, typer.Option("--quality", min=0.0, max=1.0, help="Chance that one is meant to be elegant.")
+    ] = 0.5,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first episode; the next has the next.")] = 0,
+    cameras: Annotated[str, typer.Option("--cameras", help="front,wrist or none.")] = "front,wrist",
+    assets: Assets = None,
+    start: Annotated[
+        Start,
+        typer.Option(
+            "--start",
+            help="LIBERO's initial states, moved a little (jitter) or as they are (file), "
+            "or places drawn anew (sampled).",
+        ),
+    ] = Start.jitter,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes. Default: one a core.")] = None,
+    tasks: Tasks = None,
+    as_json: Json = False,
+) -> None:
+    """Record scripted demonstrations of mixed quality to MCAP; one that was stopped goes on where it was.
+
+    Example: jiti record --task T2 --episodes 40 --quality 0.5 --out demos
+    """
+    from jiti.runtime.sim.record import Plan, print_recorded
+    from jiti.runtime.sim.record import record as record_all
+    from jiti.tasks.catalogue import load_catalogue
+
+    found = load_catalogue(*tasks or ()).simulated(task)
+    shown = () if cameras == "none" else tuple(cameras.split(","))
+    plan = Plan(found, quality=quality, seed=seed, start=start.value, assets=assets, cameras=shown)
+    folder = out or Path(f"jiti-{found.task_id.replace('/', '-')}")
+    with _progress("Recording") as progress:
+        recorded = record_all(plan, folder, episodes=episodes, workers=workers, progress=progress)
+    print_recorded(recorded, folder, as_json=as_json)
+
+
+@app.command(short_help="Record a benchmark task, then annotate it.")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder of the recordings.")] = Path("jiti-demo"),
-    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes to record.")] = 1,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the first episode.")] = 0,
+    task: Annotated[str, typer.Option("--task", help="A task of simulation.")] = "elegant/T2",
+    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes to record.")] = 2,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first episode.")] = 0,
     headless: Annotated[bool, typer.Option("--headless", help="End after writing and checking.")] = False,
     port: Port = 0,
     no_browser: NoBrowser = False,
 ) -> None:
-    """Record a scripted pick in simulation, propose segments, open ESA on it.
+    """Record demonstrations of a benchmark task, propose what the simulator saw, open ESA on them.
 
     Example: jiti demo --headless
     """
     from jiti.runtime.sim.demo import demo as run_demo
 
     with _progress("Recording") as progress:
-        summary = run_demo(out, episodes=episodes, seed=seed, progress=progress)
+        summary = run_demo(out, task=task, episodes=episodes, seed=seed, progress=progress)
     print(summary)
     if not headless:
         annotate(str(out), port=port, no_browser=no_browser)
