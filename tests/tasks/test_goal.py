@@ -4,7 +4,7 @@ import pytest
 
 from jiti.errors import CatalogueError
 from jiti.tasks.catalogue import load_catalogue
-from jiti.tasks.goal import Always, And, AtEnd, AtRelease, Atom, Until, atoms, parse_goal
+from jiti.tasks.goal import Always, And, AtEnd, Atom, AtRelease, Until, atoms, parse_goal
 
 HELD, RESTS = Atom("IsGrasping", ("bowl_1",)), Atom("IsOnBottomOf", ("bowl_1", "plate_1"))
 

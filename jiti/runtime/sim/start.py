@@ -12,7 +12,8 @@ objects do not at all."""
 JITTER_RAD = 0.09
 """Greatest turn about the vertical, about 5 degrees. Our choice: books must not turn into each other."""
 CLEARANCE_M = 0.004
-"""What objects must keep apart after it, or what they kept apart before where that was less. Our choice."""
+"""What objects must keep apart after it, or what they kept apart before where that was less; those that began inside
+each other, as in some of LIBERO's states, must part. Our choice."""
 _DRAWS = 40
 """Draws for one object until it is free; then it stays where it was."""
 
@@ -27,7 +28,7 @@ def jitter(world: World, random: np.random.Generator) -> None:
         address = int(world.model.jnt_qposadr[body.jntadr[0]])
         before = world.data.qpos[address : address + 7].copy()
         others = [n for n in (*world.names.objects, *world.names.fixtures) if n != name]
-        apart = {n: world.gap_m(name, n, most_m=CLEARANCE_M) for n in others}
+        apart = {n: world.gap_m(name, n, most_m=CLEARANCE_M) or CLEARANCE_M for n in others}
         for _ in range(_DRAWS):
             shift, turn = random.uniform(-JITTER_M, JITTER_M, 2), random.uniform(-JITTER_RAD, JITTER_RAD)
             world.data.qpos[address : address + 2] = before[:2] + shift

@@ -158,6 +158,11 @@ class World:
         """(n,) m/s or rad/s: how fast they move."""
         return np.array([self.data.qvel[self.model.jnt_dofadr[j]] for j in self._joints_of(name)])
 
+    def fastest_m_s(self) -> float:
+        """Speed of the fastest object, by its centre of mass."""
+        bodies = [self._body[name] for name in self.names.objects]
+        return float(np.linalg.norm(self.data.cvel[bodies, 3:], axis=1).max(initial=0.0))
+
     def _joints_of(self, name: str) -> tuple[int, ...]:
         if name in self._body:
             return self._joints[name]

@@ -1,0 +1,77 @@
+"""Each expert succeeds, and its care or its fault shows in the predicates, on the trace of a whole demonstration."""
+
+import numpy as np
+import pytest
+
+from jiti.errors import UsageError
+from jiti.runtime.sim.demonstrators import demonstrator_for
+from jiti.runtime.sim.demonstrators.motion import draw_temper
+from jiti.runtime.sim.episode import run_episode
+from jiti.runtime.sim.monitor import Monitor
+from jiti.runtime.sim.scene import Scene
+from jiti.tasks.catalogue import load_catalogue
+
+pytestmark = pytest.mark.sim
+
+CATALOGUE = load_catalogue()
+SIMULATED = [task.task_id for task in CATALOGUE if task.bddl]
+TRIES = 3
+"""Seeds of which one may fail: the rates are measured over fifty, by benchmarks/demonstrations.py."""
+
+
+def demonstrate(scene: Scene, quality: float, seed: int):
+    scene.reset(seed)
+    monitor = Monitor(scene)
+    actor = demonstrator_for(scene, quality, np.random.default_rng([seed, 1]))
+    actions: list[np.ndarray] = []
+
+    def step(action: np.ndarray) -> None:
+        actions.append(action)
+        scene.step(action)
+
+    outcome = run_episode(monitor, actor, step)
+    assert all(a.shape == (7,) and np.abs(a).max() <= 1 for a in actions)
+    assert outcome.steps == len(actions) + 1
+    return outcome, monitor.trace()
+
+
+@pytest.mark.parametrize(
+    "task_id", [t if t.startswith("elegant/") else pytest.param(t, marks=pytest.mark.slow) for t in SIMULATED]
+)
+def test_care_is_elegant_and_its_lack_is_not(task_id):
+    with Scene(CATALOGUE.task(task_id)) as scene:
+        for quality in (1.0, 0.0):
+            good = 0
+            for seed in range(300, 300 + TRIES):
+                outcome, trace = demonstrate(scene, quality, seed)
+                (verdict,) = outcome.verdicts.values()
+                assert 0 <= verdict.step <= trace.last
+                good += outcome.success and outcome.elegant == (quality == 1.0)
+                if good:
+                    break
+            assert good, (task_id, quality, outcome)
+
+
+def test_a_seed_gives_the_same_demonstration():
+    with Scene(CATALOGUE.task("elegant/T2")) as scene:
+        first, _ = demonstrate(scene, 0.5, 7)
+        demonstrate(scene, 0.5, 8)
+        again, _ = demonstrate(scene, 0.5, 7)
+    assert again == first
+
+
+def test_people_differ():
+    tempers = [draw_temper(np.random.default_rng(seed)) for seed in range(200)]
+    for field in ("gain", "speed", "noise", "detour_m", "hesitation"):
+        values = [getattr(temper, field) for temper in tempers]
+        assert np.std(values) > 0.2 * np.ptp(values) > 0
+
+
+def test_a_task_without_an_expert_says_who_there_is(monkeypatch):
+    from dataclasses import replace
+
+    with (
+        Scene(replace(CATALOGUE.task("elegant/T2"), task_id="lab/bowl")) as scene,
+        pytest.raises(UsageError, match="there is no scripted expert for lab/bowl; there are some for: elegant/T0"),
+    ):
+        demonstrator_for(scene, 1.0, np.random.default_rng(0))
