@@ -2,7 +2,8 @@
 
     lerobot-eval --env.discover_packages_path=jiti.runtime.sim.lerobot_env --env.type=jiti --env.task=elegant/T2 ...
 
-Importing this module registers the type. lerobot is imported with it, which takes seconds; nothing else imports it.
+A package, because that is what lerobot discovers. Importing it registers the type, and takes seconds for lerobot;
+nothing else imports it.
 """
 
 from dataclasses import dataclass, field
