@@ -23,8 +23,8 @@ from jiti.tasks.task import Task
 MOST_STEPS = {"libero_object": 280, "libero_goal": 300, "libero_10": 520, "libero_90": 400}
 """Steps after which an episode is cut off, by suite. lerobot 0.6.1, `TASK_SUITE_MAX_STEPS`."""
 SETTLED_STEPS = 10
-"""Steps of success without a touch after which an episode ends. Our choice: half a second, in which what was let go of
-comes to rest; ending at the first success, as lerobot does, would end before the hand lets go."""
+"""Steps without a touch after a success after which an episode ends. Our choice: half a second, in which what was let
+go of comes to rest; ending at the first success, as lerobot does, would end before the hand lets go."""
 
 
 class ElegantEnv(gym.Env):
@@ -35,7 +35,7 @@ class ElegantEnv(gym.Env):
     `environment_state_names`; and with cameras `pixels`, a dict of RGB (size, size, 3) uint8, upright, by camera.
 
     The reward is 1 at the step that ends an episode elegantly and 0 everywhere else, so that its sum is the ESR. `info`
-    has `is_success` (LIBERO's predicate) at each step, and at the last `is_elegant` and `itcs`, by id.
+    has `is_success` (whether LIBERO's predicate has held) at each step, and at the last `is_elegant` and `itcs`, by id.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 - Gymnasium's own form
@@ -100,7 +100,7 @@ class ElegantEnv(gym.Env):
         self.scene.step(np.clip(action, -1, 1))
         self._monitor.look()
         self._steps += 1
-        success = self.scene.succeeded()
+        success = self._monitor.success
         self._settled = self._settled + 1 if success and not self._touched() else 0
         terminated = self._settled >= SETTLED_STEPS
         truncated = not terminated and self._steps >= self.most_steps

@@ -19,7 +19,7 @@ class Outcome:
     """How an episode went."""
 
     success: bool
-    """LIBERO's own predicate at the last step."""
+    """Whether LIBERO's own predicate held at any step: its evaluation ends there."""
     verdicts: Mapping[str, Verdict]
     """By ITC id. Steps count from the first state, 0, to the last, which no action follows."""
     steps: int
@@ -74,6 +74,7 @@ class Monitor:
         """Start an episode at the present state, which is its step 0."""
         self._holds: list[list[bool]] = []
         self._measured: list[list[float]] = []
+        self._success = False
         for predicate in self._predicates.values():
             predicate.begin()
         self.look()
@@ -83,6 +84,12 @@ class Monitor:
         measured = [predicate.look() for predicate in self._predicates.values()]
         self._holds.append([p.holds(m) for p, m in zip(self._predicates.values(), measured, strict=True)])
         self._measured.append([*measured, *(self._gap_m(name) for name in self._neighbours.values())])
+        self._success = self._success or self._scene.succeeded()
+
+    @property
+    def success(self) -> bool:
+        """Whether LIBERO's own predicate has held since `begin`."""
+        return self._success
 
     @property
     def holds(self) -> list[bool]:
@@ -103,7 +110,7 @@ class Monitor:
         """The verdicts on the episode as it stands."""
         trace = self.trace()
         verdicts = {itc_id: judge(goal, trace) for itc_id, goal in self._goals.items()}
-        return Outcome(self._scene.succeeded(), verdicts, len(self._holds))
+        return Outcome(self._success, verdicts, len(self._holds))
 
     def _gap_m(self, neighbour: str) -> float:
         """How near the hand, and what it touches or holds, is to something that should stay as it is."""

@@ -176,11 +176,13 @@ class MovesGently(_Within):
     articulated tasks (G.4); Table 7, Task 5 asks for "closed smoothly and fully".
 
     Geometry: the greatest speed of the part's joint at the end of each control step, in its own unit, m/s for a drawer
-    and rad/s for a door. It holds up to 0.25, or the goal's own tolerance.
+    and rad/s for a door. It holds up to 0.10, or the goal's own tolerance. Gentle pushes by our scripts make at most
+    0.06 m/s, and slams at least 0.15; the microwave's door, 0.26 m wide, turns with 0.3 to 0.5 and 1.3 to 1.4 rad/s,
+    and its goal says 0.8.
     """
 
     measure = "speed"
-    default = 0.25
+    default = 0.10
 
     def look(self) -> float:
         return float(np.abs(self.world.joint_speeds(self.arguments[0])).max(initial=0.0))

@@ -158,6 +158,60 @@ class World:
         """(n,) m/s or rad/s: how fast they move."""
         return np.array([self.data.qvel[self.model.jnt_dofadr[j]] for j in self._joints_of(name)])
 
+    def moves_along(self, part: str, place: np.ndarray) -> np.ndarray:
+        """(3,) unit vector: where a place (3,) on a fixture's moving part goes when its joint's number grows.
+
+        `part` is a region on the part, or a fixture that has one moving part.
+        """
+        joint = self._joint_of(part)
+        axis = np.array(self.data.xaxis[joint])
+        if not self.hinged(part):
+            return axis
+        way = np.cross(axis, place - self.data.xanchor[joint])
+        return way / np.linalg.norm(way)
+
+    def handle(self, part: str) -> np.ndarray:
+        """(3,) in the frame of a fixture's moving part: the middle of the face that is last on its way, a handle's."""
+        body, placed, whose = self._moving(part)
+        way = self.moves_along(part, placed.mean(axis=0))
+        last = min(set(whose.tolist()), key=lambda g: float((placed[whose == g] @ way).min()))
+        middle = placed[whose == last].mean(axis=0)
+        middle += way * ((placed[whose == last] @ way).min() - middle @ way)
+        return self.data.xmat[body].reshape(3, 3).T @ (middle - self.data.xpos[body])
+
+    def top_m(self, part: str) -> float:
+        """Height of the highest point of a fixture's moving part."""
+        return float(self._moving(part)[1][:, 2].max())
+
+    def hinge(self, part: str) -> np.ndarray:
+        """(3,) m: a point of the axis about which a door turns."""
+        return np.array(self.data.xanchor[self._joint_of(part)])
+
+    def turned_back(self, part: str, way: np.ndarray) -> np.ndarray:
+        """(3,): a direction of the world in the frame of a fixture's moving part."""
+        return self.data.xmat[self._moving(part)[0]].reshape(3, 3).T @ way
+
+    def hinged(self, part: str) -> bool:
+        """Whether a fixture's moving part turns, as a door, or slides, as a drawer."""
+        return bool(self.model.jnt_type[self._joint_of(part)] == self._mujoco.mjtJoint.mjJNT_HINGE)
+
+    def _moving(self, part: str) -> tuple[int, np.ndarray, np.ndarray]:
+        """Body of a fixture's moving part, corners (n, 3) of what collides of it, and whose they are (n,)."""
+        body = int(self.model.jnt_bodyid[self._joint_of(part)])
+        points, whose = self._corners(g for g in self.solid(part) if self.model.geom_bodyid[g] == body)
+        return body, self._placed(points, whose), whose
+
+    def carried(self, part: str, local: np.ndarray) -> np.ndarray:
+        """(3,) m: where a place (3,) in the frame of a fixture's moving part is now."""
+        body = int(self.model.jnt_bodyid[self._joint_of(part)])
+        return self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ local
+
+    def _joint_of(self, part: str) -> int:
+        joints = self._joints_of(part)
+        if len(joints) != 1:
+            raise UsageError(f"{part!r} has {len(joints)} moving parts; name a region on the one that is meant")
+        return joints[0]
+
     def fastest_m_s(self) -> float:
         """Speed of the fastest object, by its centre of mass."""
         bodies = [self._body[name] for name in self.names.objects]
@@ -220,6 +274,9 @@ class World:
         if without:
             kept = ~np.isin(whose, list(without))
             points, whose = points[kept], whose[kept]
+        return self._placed(points, whose)
+
+    def _placed(self, points: np.ndarray, whose: np.ndarray) -> np.ndarray:
         turns = self.data.geom_xmat[whose].reshape(-1, 3, 3)
         return self.data.geom_xpos[whose] + np.einsum("nij,nj->ni", turns, points)
 

@@ -21,9 +21,9 @@ _EXPERTS = {
     "g4/ketchup": "place.Place",
     "g4/cream-cheese": "place.Place",
     "g4/black-bowl": "place.Place",
-    "g4/close-bottom-drawer": "close.Close",
-    "g4/close-top-drawer": "close.Close",
-    "g4/close-microwave": "close.Close",
+    "g4/close-bottom-drawer": "close.CloseSmoothly",
+    "g4/close-top-drawer": "close.CloseSmoothly",
+    "g4/close-microwave": "close.CloseSmoothly",
 }
 """Module and class in this folder, by task id or by the part of it before the slash."""
 
