@@ -254,3 +254,20 @@ def test_a_port_in_use_is_refused(run: Run, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", cameras={"/camera": Camera(width=64, height=48)}, duration_s=0.2)
     with bind(0) as taken:
         refused(run("annotate", "--port", str(taken.getsockname()[1])), "--port")
+
+
+def test_a_task_that_cannot_be_simulated_is_answered_with_those_that_can(run: Run, tmp_path: Path) -> None:
+    refused(run("record", "--task", "T9", "--out", "demos"), "no task of simulation is 'T9'", "elegant/T0")
+    refused(run("record", "--task", "so100/T0"), "no task of simulation is 'so100/T0'")
+    refused(run("record", "--task", "ketchupp"), "did you mean ketchup")
+    refused(run("record", "--task", "T2", "--cameras", "side"), "there is no camera 'side'; there are: front, wrist")
+    refused(run("record", "--task", "T2", "--assets", str(tmp_path)), "is no asset pack", "jiti tasks check")
+    assert list(tmp_path.glob("*demos*")) == []
+
+
+def test_proposals_are_written_from_what_a_recording_has(run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", cameras={"front": Camera()})
+    refused(run("autolabel", "--from", "sim"), "nothing was proposed", "has no stream '/predicates'", "--from signal")
+    done = run("autolabel", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["source"] == "signal"

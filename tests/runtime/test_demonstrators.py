@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jiti.errors import UsageError
-from jiti.runtime.sim.demonstrators import demonstrator_for
+from jiti.runtime.sim.demonstrators import demonstrator_for, is_careful
 from jiti.runtime.sim.demonstrators.motion import draw_temper
 from jiti.runtime.sim.episode import run_episode
 from jiti.runtime.sim.monitor import Monitor
@@ -22,7 +22,7 @@ TRIES = 3
 def demonstrate(scene: Scene, quality: float, seed: int):
     scene.reset(seed)
     monitor = Monitor(scene)
-    actor = demonstrator_for(scene, quality, np.random.default_rng([seed, 1]))
+    actor = demonstrator_for(scene, seed, quality)
     actions: list[np.ndarray] = []
 
     def step(action: np.ndarray) -> None:
@@ -60,6 +60,15 @@ def test_a_seed_gives_the_same_demonstration():
     assert again == first
 
 
+@pytest.mark.parametrize("quality", [0.0, 0.3, 0.5, 1.0])
+def test_quality_is_the_share_that_is_meant_to_be_elegant(quality):
+    for first in (0, 17, 1000):
+        for count in (10, 50):
+            careful = sum(is_careful(seed, quality) for seed in range(first, first + count))
+            assert abs(careful - quality * count) <= 2
+    assert len({tuple(is_careful(seed, 0.5) for seed in range(k, k + 8)) for k in range(50)}) > 8  # no short period
+
+
 def test_people_differ():
     tempers = [draw_temper(np.random.default_rng(seed)) for seed in range(200)]
     for field in ("gain", "speed", "noise", "detour_m", "hesitation"):
@@ -67,11 +76,11 @@ def test_people_differ():
         assert np.std(values) > 0.2 * np.ptp(values) > 0
 
 
-def test_a_task_without_an_expert_says_who_there_is(monkeypatch):
+def test_a_task_without_an_expert_says_who_there_is():
     from dataclasses import replace
 
     with (
         Scene(replace(CATALOGUE.task("elegant/T2"), task_id="lab/bowl")) as scene,
         pytest.raises(UsageError, match="there is no scripted expert for lab/bowl; there are some for: elegant/T0"),
     ):
-        demonstrator_for(scene, 1.0, np.random.default_rng(0))
+        demonstrator_for(scene, 0, 1.0)

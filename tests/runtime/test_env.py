@@ -60,7 +60,7 @@ def test_starts_are_liberos_own_files_moved_a_little_or_drawn_anew(bowl):
 
 def test_an_elegant_demonstration_is_rewarded_once_and_ends_the_episode(bowl):
     bowl.reset(seed=0)
-    actor = demonstrator_for(bowl.scene, 1.0, np.random.default_rng([0, 1]))
+    actor = demonstrator_for(bowl.scene, 0, 1.0)
     rewards, infos, terminated = [], [], False
     while (action := actor.act()) is not None and not terminated:
         _, reward, terminated, truncated, info = bowl.step(action)
