@@ -241,7 +241,7 @@ def record(
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the recordings. Default: jiti-TASK.")] = None,
     episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes that are there in the end.")] = 10,
     quality: Annotated[
-        float, typer.Option("--quality", min=0.0, max=1.0, help="Chance that one is meant to be elegant.")
+        float, typer.Option("--quality", min=0.0, max=1.0, help="Share that is meant to be elegant.")
     ] = 0.5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first episode; the next has the next.")] = 0,
     cameras: Annotated[str, typer.Option("--cameras", help="front,wrist or none.")] = "front,wrist",
@@ -267,7 +267,7 @@ def record(
     from jiti.tasks.catalogue import load_catalogue
 
     found = load_catalogue(*tasks or ()).simulated(task)
-    shown = () if cameras == "none" else tuple(cameras.split(","))
+    shown = () if cameras == "none" else tuple(name.strip() for name in cameras.split(","))
     plan = Plan(found, quality=quality, seed=seed, start=start.value, assets=assets, cameras=shown)
     folder = out or Path(f"jiti-{found.task_id.replace('/', '-')}")
     with _progress("Recording") as progress:

@@ -11,7 +11,7 @@ from jiti.annotate.proposals import write_proposals
 from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import Segment
 from jiti.episodes.episode import Episode, EpisodeReader
-from jiti.errors import LabelError, SourceError, UsageError
+from jiti.errors import CatalogueError, LabelError, SourceError, UsageError
 from jiti.tasks.catalogue import Catalogue
 from jiti.tasks.task import Task
 
@@ -74,7 +74,7 @@ def autolabel(
         try:
             episode = reader.open(ref.episode_id)
             found = propose(episode, catalogue.for_episode(episode))
-        except (SourceError, LabelError) as error:
+        except (SourceError, LabelError, CatalogueError) as error:
             skipped.append(f"{ref.title}: {error}")
             continue
         recording = Recording(episode.clock.frame_count, episode.clock.rate_hz, episode.fingerprint)

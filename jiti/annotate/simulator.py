@@ -9,13 +9,11 @@ from jiti.annotate.segments import DEFAULT_WINDOW_FRAMES, Segment, new_segment_i
 from jiti.episodes.episode import Episode, numbers
 from jiti.errors import SourceError
 from jiti.tasks.goal import parse_goal
-from jiti.tasks.judge import Trace, Verdict, judge
+from jiti.tasks.judge import MEASURES, PREDICATES, Trace, Verdict, judge
 from jiti.tasks.task import ITC, Task
 
 ANNOTATOR = "sim"
 """Name of the partition that these proposals are written to."""
-PREDICATES, MEASURES = "/predicates", "/measures"
-"""Topics of `jiti record`: whether each predicate holds at each step, and what it measured."""
 
 
 def has_trace(episode: Episode) -> bool:
@@ -65,6 +63,7 @@ def _segment(episode: Episode, itc: ITC, verdict: Verdict, time_ns: np.ndarray, 
     clock = episode.clock
     # The frame that shows the step; without cameras, frames have a rate of their own.
     decided = int(np.searchsorted(clock.frame_ns, time_ns[verdict.step], side="left"))
+    decided = min(decided, clock.frame_count - 1)
     end = min(max(decided, DEFAULT_WINDOW_FRAMES - 1), clock.frame_count - 1)
     start = max(0, end - DEFAULT_WINDOW_FRAMES + 1)
     return Segment(

@@ -7,7 +7,7 @@ predicates (supplement B.2) there are four words of ours:
 
     (AtEnd P)       P holds at the last step; a bare P means the same
     (AtRelease P)   P holds at the last step before the hand lets go of P's first argument
-    (Until G P)     G, once true, stays true until P is true too; then G may end
+    (Until G P)     G, once true, stays true to a step at which P is true too; there it may end, the first time it does
     (Always P ...)  all of them hold at every step
     (And W ...)     all of these
 """

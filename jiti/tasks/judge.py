@@ -14,7 +14,9 @@ RELEASE_STEPS = 3
 0.15 s at 20 Hz."""
 
 GAP = "gap_m"
-"""Suffix of a measure: the least distance of the robot, and of what it moves, to what must stay as it is."""
+"""Suffix of a measure: the least distance of the hand, and of what it moves, to what must stay as it is."""
+PREDICATES, MEASURES = "/predicates", "/measures"
+"""Topics under which a recording has a trace: whether each predicate holds at each step, and what was measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +100,15 @@ def _at_release(what: Atom, trace: Trace) -> Verdict:
 
 
 def _at_end(what: Atom, trace: Trace) -> Verdict:
-    """Decided when the hand let go of it, where it was ever held; else since when it was so."""
+    """Decided when the hand let go of it, where it was ever held, or when it was undone after that; else since when it
+    was so."""
     seen = trace.of(what)
     holds = bool(seen[-1])
     ends = releases(trace.holds[str(what.grasp)]) if str(what.grasp) in trace.holds else []
-    if ends:
+    after = np.flatnonzero(seen[ends[-1] + RELEASE_STEPS :]) if ends else np.empty(0, np.int64)
+    if ends and not holds and len(after):
+        step = ends[-1] + RELEASE_STEPS + int(after[-1]) + 1
+    elif ends:
         step = ends[-1]
     elif holds:
         step = int(np.flatnonzero(~seen)[-1]) + 1 if not seen.all() else trace.last
@@ -116,10 +122,12 @@ def _always(what: tuple[Atom, ...], trace: Trace) -> Verdict:
     if first:
         atom = min(first, key=lambda a: first[a])
         return Verdict(False, first[atom], f"{atom} stopped holding.")
-    gaps = [trace.measures[name] for atom in what if (name := f"{atom} {GAP}") in trace.measures]
     said = f"{' and '.join(str(atom) for atom in what)} held throughout"
-    if not gaps:
-        return Verdict(True, trace.last, f"{said}.")
-    nearest = np.minimum.reduce(gaps)
-    step = int(np.argmin(nearest))
-    return Verdict(True, step, f"{said}; the nearest came to {1000 * nearest[step]:.0f} mm.")
+    gaps = [trace.measures[name] for atom in what if (name := f"{atom} {GAP}") in trace.measures]
+    if gaps:
+        nearest = np.minimum.reduce(gaps)
+        step = int(np.argmin(nearest))
+        return Verdict(True, step, f"{said}; the nearest came to {1000 * nearest[step]:.0f} mm.")
+    own = [seen for atom in what for name, seen in trace.measures.items() if name.startswith(f"{atom} ")]
+    step = int(np.argmax(np.maximum.reduce(own))) if own else trace.last
+    return Verdict(True, step, f"{said}.")

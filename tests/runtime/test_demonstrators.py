@@ -5,7 +5,6 @@ import pytest
 
 from jiti.errors import UsageError
 from jiti.runtime.sim.demonstrators import demonstrator_for, is_careful
-from jiti.runtime.sim.demonstrators.motion import draw_temper
 from jiti.runtime.sim.episode import run_episode
 from jiti.runtime.sim.monitor import Monitor
 from jiti.runtime.sim.scene import Scene
@@ -16,7 +15,7 @@ pytestmark = pytest.mark.sim
 CATALOGUE = load_catalogue()
 SIMULATED = [task.task_id for task in CATALOGUE if task.bddl]
 TRIES = 3
-"""Seeds of which one may fail: the rates are measured over fifty, by benchmarks/demonstrations.py."""
+"""Seeds of which the first good one counts: the rates are measured over fifty, by benchmarks/demonstrations.py."""
 
 
 def demonstrate(scene: Scene, quality: float, seed: int):
@@ -65,15 +64,24 @@ def test_quality_is_the_share_that_is_meant_to_be_elegant(quality):
     for first in (0, 17, 1000):
         for count in (10, 50):
             careful = sum(is_careful(seed, quality) for seed in range(first, first + count))
-            assert abs(careful - quality * count) <= 2
+            assert abs(careful - quality * count) <= 3
     assert len({tuple(is_careful(seed, 0.5) for seed in range(k, k + 8)) for k in range(50)}) > 8  # no short period
 
 
-def test_people_differ():
-    tempers = [draw_temper(np.random.default_rng(seed)) for seed in range(200)]
-    for field in ("gain", "speed", "noise", "detour_m", "hesitation"):
-        values = [getattr(temper, field) for temper in tempers]
-        assert np.std(values) > 0.2 * np.ptp(values) > 0
+def test_the_same_start_is_done_in_different_ways():
+    with Scene(CATALOGUE.task("elegant/T2")) as scene:
+        paths = []
+        for seed in (0, 50, 100):  # LIBERO's first state each time, as it is
+            scene.reset(seed, "file")
+            actor = demonstrator_for(scene, seed, 1.0)
+            path = []
+            while (action := actor.act()) is not None:
+                scene.step(action)
+                path.append(scene.world_T_eef[:3, 3])
+            paths.append(np.array(path))
+    assert len({len(path) for path in paths}) == 3
+    shortest = min(len(path) for path in paths)
+    assert np.abs(paths[0][:shortest] - paths[1][:shortest]).max() > 0.02
 
 
 def test_a_task_without_an_expert_says_who_there_is():

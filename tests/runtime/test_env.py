@@ -44,8 +44,15 @@ def test_a_seed_decides_the_episode_whatever_came_before(bowl):
     for key in ("agent_pos", "environment_state"):
         np.testing.assert_array_equal([s[key] for s in first], [s[key] for s in again])
     assert not np.allclose(first[0]["environment_state"], other[0]["environment_state"])
-    # Without a seed, the one after the last.
-    np.testing.assert_array_equal(bowl.reset()[0]["environment_state"], other[0]["environment_state"])
+
+
+def test_without_a_seed_each_environment_draws_episodes_of_its_own(bowl):
+    drawn = []
+    for seed in (5, 6, 5):
+        bowl.reset(seed=seed)
+        drawn.append([bowl.reset()[1]["seed"] for _ in range(3)])
+    assert drawn[0] == drawn[2]
+    assert len({*drawn[0], *drawn[1]}) == 6
 
 
 def test_starts_are_liberos_own_files_moved_a_little_or_drawn_anew(bowl):
@@ -92,6 +99,8 @@ def test_what_is_wrong_is_said(bowl):
 
     with pytest.raises(UsageError, match="an action has 7 numbers"):
         bowl.step(np.zeros(6))
+    with pytest.raises(UsageError, match="'jiter' is no start; there are: jitter, file, sampled"):
+        bowl.reset(seed=0, options={"start": "jiter"})
     with pytest.raises(CatalogueError, match=r"no task of simulation is 'T8'; did you mean"):
         ElegantEnv("T8")
     with pytest.raises(UsageError, match="with cameras front: no library"):

@@ -25,8 +25,8 @@ def test_tasks_are_named_by_id_or_by_kind(lerobot_env):
     assert len(lerobot_env.JitiEnv(task="elegant,rq3,g4").task_ids) == 21
 
 
-def test_lerobots_own_rollout_runs_in_them(lerobot_env):
-    """A policy that does nothing, through lerobot's vector environments, processors and rollout."""
+def test_lerobot_makes_them_side_by_side(lerobot_env):
+    """In lerobot's vector environments, with its observations, and what its evaluation counts at the end."""
     import torch
     from lerobot.envs.factory import make_env
     from lerobot.envs.utils import preprocess_observation

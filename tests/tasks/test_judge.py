@@ -58,7 +58,8 @@ def test_at_release_looks_at_the_last_step_of_contact(held, rests, satisfied, st
     ("rows", "satisfied", "step"),
     [
         ({"held": "0111100000", "rests": "0000001111"}, True, 4),  # decided when it was let go
-        ({"held": "0111100000", "rests": "0000001110"}, False, 4),
+        ({"held": "0111100000", "rests": "0000100000"}, False, 4),
+        ({"held": "0111100000", "rests": "0000001110"}, False, 9),  # knocked off again
         ({"rests": "0000001111"}, True, 6),  # without a grasp: since when it was so
         ({"rests": "0110001011"}, True, 8),
         ({"rests": "1111111111"}, True, 9),
@@ -79,6 +80,14 @@ def test_always_is_broken_at_the_first_step_and_else_decided_where_it_was_neares
     assert (verdict.satisfied, verdict.step) == (True, 2)
     assert "30 mm" in verdict.reason
     assert judge(goal, trace(still="111111")).step == 5
+
+
+def test_what_must_be_gentle_is_decided_where_it_was_least_so():
+    goal = parse_goal("(And (AtEnd (Close d)) (Always (MovesGently d)))")
+    rows = {"Close d": np.array([False] * 5 + [True] * 5), "MovesGently d": np.ones(10, bool)}
+    speed = {"MovesGently d speed": np.array([0, 0.01, 0.05, 0.09, 0.04, 0, 0, 0, 0, 0])}
+    verdict = judge(goal, Trace(rows, speed))
+    assert (verdict.satisfied, verdict.step) == (True, 5)  # shut, after the fastest moment
 
 
 def test_all_parts_count_and_the_first_violation_is_the_one_that_is_told():

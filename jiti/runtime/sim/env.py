@@ -20,7 +20,7 @@ from jiti.runtime.sim.world import GRIPPER
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.task import Task
 
-MOST_STEPS = {"libero_object": 280, "libero_goal": 300, "libero_10": 520, "libero_90": 400}
+MOST_STEPS = {"libero_spatial": 280, "libero_object": 280, "libero_goal": 300, "libero_10": 520, "libero_90": 400}
 """Steps after which an episode is cut off, by suite. lerobot 0.6.1, `TASK_SUITE_MAX_STEPS`."""
 SETTLED_STEPS = 10
 """Steps without a touch after a success after which an episode ends. Our choice: half a second, in which what was let
@@ -59,11 +59,11 @@ class ElegantEnv(gym.Env):
             raise UsageError(f"{self.task.task_id} with cameras {', '.join(cameras)}: {graphics.message}")
         self.render_mode = render_mode
         self._start: Start = start
-        self.most_steps = max_episode_steps or MOST_STEPS[(self.task.bddl or "").partition("/")[0]]
+        suite = (self.task.bddl or "").partition("/")[0]
+        self.most_steps = max_episode_steps or MOST_STEPS.get(suite, max(MOST_STEPS.values()))
         self.scene = Scene(self.task, assets=assets, graphics=graphics, cameras=cameras, picture_size=picture_size)
         self._graphics = graphics
         self._monitor = Monitor(self.scene)
-        self._next_seed = 0
         self.environment_state_names, state = environment_state(self.scene)
         room: dict[str, spaces.Space] = {
             "agent_pos": spaces.Box(-np.inf, np.inf, (8,), np.float32),
@@ -83,10 +83,9 @@ class ElegantEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The same seed gives the same episode; without one, that after the last. `options["start"]` overrides."""
+        """The same seed gives the same episode; without one, it is drawn. `options["start"]` overrides the start."""
         super().reset(seed=seed)
-        seed = self._next_seed if seed is None else seed
-        self._next_seed = seed + 1
+        seed = int(self.np_random.integers(1 << 31)) if seed is None else seed
         self.scene.reset(seed, (options or {}).get("start", self._start))
         self._monitor.begin()
         self._steps = self._settled = 0
@@ -115,8 +114,8 @@ class ElegantEnv(gym.Env):
     def render(self) -> np.ndarray:
         """The front camera's view. Raises UsageError without a GL library."""
         if self._graphics.backend is None:
-            self._graphics = find_graphics()
-            raise UsageError(f"make the environment with cameras=('front',) to render. Here: {self._graphics.message}")
+            here = find_graphics().message
+            raise UsageError(f"make the environment with cameras=('front',) to render. Here: {here}")
         return self.scene.render("front")
 
     def close(self) -> None:

@@ -42,7 +42,7 @@ def import_libero(assets: Path | str | None = None, graphics: Graphics | None = 
     """
     import_robosuite(graphics or Graphics(None, "no pictures are needed"))
     package = _package_folder()
-    if CONFIG not in os.environ and not (Path.home() / ".libero" / "config.yaml").exists():
+    if not (Path(os.environ.get(CONFIG) or Path.home() / ".libero") / "config.yaml").is_file():
         _write_config(package)
     pack = pack_folder(assets)
     try:
@@ -75,6 +75,11 @@ def pack_folder(assets: Path | str | None) -> Path | None:
 def bddl_file(name: str) -> Path:
     """LIBERO's problem file of a task, by `suite/name`. Raises UsageError when it is not installed."""
     return _shipped("bddl_files", f"{name}.bddl")
+
+
+def has_initial_states(name: str) -> bool:
+    """Whether LIBERO comes with initial states of a task."""
+    return (_package_folder() / "init_files" / f"{name}.pruned_init").is_file()
 
 
 def initial_states(name: str) -> np.ndarray:

@@ -66,9 +66,10 @@ class _Within:
 class IsGrasping(_Within):
     """`(IsGrasping OBJECT)`: the hand holds the object; "securely grasped until the intended release moment".
 
-    Geometry: pads of both fingers are in contact with the object's collision shapes. Measured is the number of fingers
-    that do not touch it (0, 1, 2); it holds at 0. One finger alone pushes and does not hold; robosuite's own
-    `_check_grasp` asks for the same. The judge bridges flickers of contact (`jiti.tasks.judge`), this does not.
+    Geometry: both fingers, with their pads or beside them, are in contact with the object's collision shapes. Measured
+    is the number of fingers that do not touch it (0, 1, 2); it holds at 0. One finger alone pushes and does not hold.
+    robosuite's `_check_grasp` asks for the pads, but a rim may be held by what is behind them. The judge bridges
+    flickers of contact (`jiti.tasks.judge`), this does not.
     """
 
     measure = "open_fingers"
@@ -184,6 +185,10 @@ class MovesGently(_Within):
     measure = "speed"
     default = 0.10
 
+    def begin(self) -> None:
+        if not len(self.world.joint_speeds(self.arguments[0])):
+            raise UsageError(f"{self.arguments[0]} has no moving part, so MovesGently cannot speak of it")
+
     def look(self) -> float:
         return float(np.abs(self.world.joint_speeds(self.arguments[0])).max(initial=0.0))
 
@@ -194,6 +199,9 @@ class LiberoPredicate:
     measure: ClassVar[str] = "holds"
 
     def __init__(self, scene: Scene, atom: Atom) -> None:
+        if len(atom.arguments) != LIBEROS[atom.predicate]:
+            count = LIBEROS[atom.predicate]
+            raise UsageError(f"LIBERO's {atom.predicate} takes {count} things and got {len(atom.arguments)}: {atom}")
         if atom.tolerance is not None:
             raise UsageError(f"LIBERO's {atom.predicate} takes no tolerance: {atom}")
         self._look: Callable[[], bool] = lambda: scene.holds(atom.predicate, *atom.arguments)
@@ -213,7 +221,8 @@ PREDICATES: dict[str, type[_Within]] = {
     kind.__name__: kind
     for kind in (IsGrasping, IsOnBottomOf, IsPreciselyOn, IsOrientationAligned, PositionUnchanged, MovesGently)
 }
-LIBEROS = ("In", "On", "Up", "Open", "Close", "Turnon", "Turnoff")
+LIBEROS = {"In": 2, "On": 2, "Up": 1, "Open": 1, "Close": 1, "Turnon": 1, "Turnoff": 1}
+"""LIBERO's own predicates, and of how many things each speaks."""
 
 
 def bind(scene: Scene, atom: Atom) -> Predicate:

@@ -1,14 +1,17 @@
 """`jiti record`: demonstrations of one task as a folder of recordings, on all cores, going on where it was stopped."""
 
+import fcntl
 import json
 import multiprocessing
 import os
 import re
 import signal
-from collections.abc import Callable, Mapping, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -20,6 +23,7 @@ from mcap.reader import make_reader
 from jiti.durable import make_folder
 from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.errors import UsageError
+from jiti.runtime.sim.demonstrators import expert_for
 from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.libero import PRIMITIVE, bddl_file, pack_folder
@@ -31,6 +35,8 @@ Progress = Callable[[float, str], None]
 """Called with the share that is done, 0 to 1, and what is being done."""
 TYPICAL_STEPS = 200
 """Steps of an episode, for progress alone."""
+GRACE_S = 5.0
+"""Our choice: a step with pictures takes 0.3 s on a slow machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +45,13 @@ class Plan:
 
     task: Task
     quality: float = 0.5
-    """Chance that an episode is meant to be elegant; 0 to 1."""
+    """Share of the episodes that are meant to be elegant, spread evenly over seeds; 0 to 1."""
     seed: int = 0
     """Seed of the first episode; episode k has seed + k."""
     start: Start = "jitter"
     assets: str | None = None
     """Asset pack: a folder, "primitive" (the default) or "libero"."""
-    cameras: tuple[str, ...] = ("front", "wrist")
+    cameras: tuple[str, ...] = tuple(CAMERAS)
     picture_size: int = 256
 
     def __post_init__(self) -> None:
@@ -56,6 +62,8 @@ class Plan:
         for camera in self.cameras:
             if camera not in CAMERAS:
                 raise UsageError(f"there is no camera {camera!r}; there are: {', '.join(CAMERAS)}, or none")
+        if len(set(self.cameras)) < len(self.cameras):
+            raise UsageError(f"a camera is named twice: {', '.join(self.cameras)}")
 
     def path(self, folder: Path, number: int) -> Path:
         """Where episode `number` goes."""
@@ -77,12 +85,14 @@ class Plan:
             "assets": self.pack_name,
             "cameras": " ".join(self.cameras if graphics.backend else ()),
             "picture_size": str(self.picture_size),
+            "goals": " ".join(itc.goal for itc in self.task.itcs),
         }
 
     @property
     def pack_name(self) -> str:
-        """Of the asset pack; a folder's own name, so that no path of this machine gets into a recording."""
-        return "primitive" if self.assets in (None, "primitive", str(PRIMITIVE)) else Path(self.assets).name
+        """Of the asset pack; of a folder its own name, so that no path of this machine gets into a recording."""
+        folder = pack_folder(self.assets)
+        return "libero" if folder is None else "primitive" if folder == PRIMITIVE else f"{folder.name}/"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,20 +132,54 @@ def record(
     find_robosuite()
     bddl_file(plan.task.bddl)
     pack_folder(plan.assets)
+    expert_for(plan.task)
     graphics = graphics or (find_graphics() if plan.cameras else Graphics(None, "recording without pictures"))
     paths = [plan.path(folder, number) for number in range(episodes)]
-    kept = {number for number, path in enumerate(paths) if _is_kept(path, plan, number, graphics)}
-    missing = [number for number in range(episodes) if number not in kept]
     make_folder(folder)
-    _remove_leftovers(folder, paths)
-    report(0.0, graphics.message if plan.cameras else "recording without cameras")
-    workers = min(workers or len(os.sched_getaffinity(0)), max(1, len(missing)))
-    if workers == 1:
-        _record_here(plan, folder, missing, graphics, report)
-    else:
-        _record_apart(plan, folder, missing, graphics, report, workers)
-    report(1.0, f"{len(missing)} recorded, {len(kept)} kept")
+    with _alone(folder):
+        kept = {number for number, path in enumerate(paths) if _is_kept(path, plan, number, graphics)}
+        missing = [number for number in range(episodes) if number not in kept]
+        _remove_leftovers(folder, paths)
+        report(0.0, graphics.message if plan.cameras else "recording without cameras")
+        workers = min(workers or _cores(), max(1, len(missing)))
+        if workers == 1:
+            _record_here(plan, folder, missing, graphics, report)
+        else:
+            _record_apart(plan, folder, missing, graphics, report, workers)
+        report(1.0, f"{len(missing)} recorded, {len(kept)} kept")
     return [_recorded(path, number in kept) for number, path in enumerate(paths)]
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other runs out of a folder until the end; the system lets it go when this process ends, however it ends."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise UsageError(f"another `jiti record` is at work in {folder}. Wait for it, or pass another --out.") from None
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _record_here(plan: Plan, folder: Path, numbers: Sequence[int], graphics: Graphics, report: Progress) -> None:
@@ -158,7 +202,8 @@ def _record_apart(
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(stop,)) as pool:
-        jobs = {pool.submit(_in_worker, plan, folder, number, graphics): number for number in numbers}
+        with _ignoring_interrupts():  # which workers inherit: Ctrl-C reaches every process of a terminal
+            jobs = {pool.submit(_in_worker, plan, folder, number, graphics): number for number in numbers}
         try:
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()
@@ -185,14 +230,22 @@ _scenes: dict[tuple[Plan, Graphics], Scene] = {}
 def _begin_worker(stop: Any) -> None:
     global _stop
     _stop = stop
-    # Ctrl-C reaches every process of a terminal; the one that asked says when to stop.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """When the process that asked was killed, no one takes work from this one or ends it: finish here."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        _stop.set()
+        time.sleep(GRACE_S)  # in which an episode that is being recorded takes its unfinished file away
+        os._exit(1)
 
 
 def _in_worker(plan: Plan, folder: Path, number: int, graphics: Graphics) -> None:
     def step(_count: int) -> None:
-        parent = multiprocessing.parent_process()
-        if _stop.is_set() or (parent is not None and not parent.is_alive()):
+        if _stop.is_set():
             raise _Stopped
 
     if (plan, graphics) not in _scenes:
@@ -251,11 +304,11 @@ def _recorded(path: Path, kept: bool) -> Recorded:
 
 
 def _remove_leftovers(folder: Path, paths: Sequence[Path]) -> None:
-    """Unfinished files of runs that were killed: their names say whose they were."""
+    """Unfinished files of runs that were killed; no run goes on in this folder now."""
     names = {path.name for path in paths}
     for path in folder.glob(".tmp-*.mcap"):
         found = re.fullmatch(r"\.tmp-(\d+)-[0-9a-f]+-(.+)", path.name)
-        if found and found[2] in names and not Path("/proc", found[1]).exists():
+        if found and found[2] in names:
             with suppress(OSError):
                 path.unlink()
 

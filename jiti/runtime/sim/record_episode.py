@@ -16,6 +16,7 @@ from jiti.runtime.sim.proprio import PROPRIO_NAMES, proprio
 from jiti.runtime.sim.rotation import quaternion_xyzw
 from jiti.runtime.sim.scene import ACTION_NAMES, ARM_JOINTS, CONTROL_HZ, FINGER_JOINTS, Scene, Start
 from jiti.runtime.sim.world import GRIPPER
+from jiti.tasks.judge import MEASURES, PREDICATES
 
 START_NS = 1_735_689_600_000_000_000
 """Log time of the first frame: 2025-01-01, 00:00 UTC. Fixed, so that one seed always gives the same messages."""
@@ -41,7 +42,7 @@ def record_episode(
     """
     scene.reset(seed, start)
     monitor = Monitor(scene)
-    actor = demonstrator_for(scene, quality, np.random.default_rng([seed, 1]))
+    actor = demonstrator_for(scene, seed, quality)
     with McapWriter(path, instruction=scene.task.instruction, metadata=about) as writer:
 
         def watch(step: int, action: np.ndarray | None) -> None:
@@ -74,10 +75,10 @@ def _write(writer: McapWriter, time_ns: int, scene: Scene, monitor: Monitor, act
     pairs = [(GRIPPER, name) for name in things]
     pairs += [(a, b) for a in scene.interest if a in world.names.objects for b in things if a != b]
     writer.write_vector("/contacts", time_ns, [f"{a}-{b}" for a, b in pairs], [float(p in touched) for p in pairs])
-    writer.write_vector("/predicates", time_ns, monitor.predicates, [float(h) for h in monitor.holds])
+    writer.write_vector(PREDICATES, time_ns, monitor.predicates, [float(h) for h in monitor.holds])
     # What cannot be measured, as a height over nothing, is missing and not infinite: plots take no infinity.
     measured = [m if np.isfinite(m) else float("nan") for m in monitor.measured]
-    writer.write_vector("/measures", time_ns, monitor.measures, measured)
+    writer.write_vector(MEASURES, time_ns, monitor.measures, measured)
     if action is not None:
         writer.write_vector("/action", time_ns, ACTION_NAMES, action)
 

@@ -4,14 +4,14 @@ import importlib
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 
 from jiti.errors import UsageError
 from jiti.runtime.sim.engine import global_seed
 from jiti.runtime.sim.gl import Graphics
-from jiti.runtime.sim.libero import bddl_file, import_libero, initial_states
+from jiti.runtime.sim.libero import bddl_file, has_initial_states, import_libero, initial_states
 from jiti.runtime.sim.start import jitter
 from jiti.runtime.sim.world import Names, World
 from jiti.tasks.task import Task
@@ -115,10 +115,14 @@ class Scene:
         self._env.close()
 
     def reset(self, seed: int, start: Start = "jitter") -> None:
-        """Begin an episode: the same seed and start always give the same one.
+        """Begin an episode: the same seed and start always give the same one. Raises UsageError for another start.
 
-        Of LIBERO's files, seed k takes state k modulo their number.
+        Of LIBERO's files, seed k takes state k modulo their number; a task without a file is sampled.
         """
+        if start not in get_args(Start):
+            raise UsageError(f"{start!r} is no start; there are: {', '.join(get_args(Start))}")
+        if not has_initial_states(self.task.bddl or ""):
+            start = "sampled"
         random = np.random.default_rng([seed, 0])
         with global_seed(int(random.integers(1 << 32))):
             self._reset_env()

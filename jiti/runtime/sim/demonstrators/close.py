@@ -23,7 +23,7 @@ OVER_M = 0.12
 AHEAD_M = 0.05
 """How far beyond the handle the hand is sent while it pushes."""
 PRESS_STEPS = 16
-"""Steps of pushing on, less and less, after the part is shut. Our choice: LIBERO asks for the very end of the joint's way."""
+"""Steps of pushing on, less and less, after the part is shut. Our choice: LIBERO asks for the very end of the way."""
 MOST_STEPS = 250
 """Steps after which a push is given up. Our choice: the slowest, of a door, takes about 170."""
 
