@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -26,18 +28,29 @@ SEED = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
-    """One task with one pack at one quality."""
+class Runs:
+    """Episodes of one task with one pack: seeds, and whether each is meant to be elegant."""
 
     task: str
     assets: str
-    quality: float
-    seeds: tuple[int, ...]
+    episodes: tuple[tuple[int, bool], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """What came out of one episode."""
+
+    success: bool
+    elegant: bool
+    steps: int
+    seconds: float
+    step_seconds: float
+    """Of the control steps alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What came out of a cell."""
+    """One task with one pack at one quality."""
 
     task: str
     assets: str
@@ -53,64 +66,75 @@ class Figures:
     """Mean of an episode's control steps alone."""
 
 
-def measure(cell: Cell) -> Figures:
-    """Demonstrate with every seed of a cell."""
-    import numpy as np
-
+def measure(runs: Runs) -> dict[tuple[int, bool], Episode]:
+    """Demonstrate each of them."""
     from jiti.runtime.sim.demonstrators import demonstrator_for
     from jiti.runtime.sim.episode import run_episode
     from jiti.runtime.sim.monitor import Monitor
     from jiti.runtime.sim.scene import Scene
     from jiti.tasks.catalogue import load_catalogue
 
-    outcomes, taken, stepping = [], [], []
-    with Scene(load_catalogue().simulated(cell.task), assets=cell.assets) as scene:
-        for seed in cell.seeds:
+    found = {}
+    with Scene(load_catalogue().simulated(runs.task), assets=runs.assets) as scene:
+        for seed, careful in runs.episodes:
             begin, spent = time.perf_counter(), [0.0]
 
-            def step(action: np.ndarray, spent: list[float] = spent) -> None:
+            def step(action: Any, spent: list[float] = spent) -> None:
                 before = time.perf_counter()
                 scene.step(action)
                 spent[0] += time.perf_counter() - before
 
             scene.reset(seed)
-            actor = demonstrator_for(scene, seed, cell.quality)
-            outcomes.append(run_episode(Monitor(scene), actor, step))
-            taken.append(time.perf_counter() - begin)
-            stepping.append(spent[0])
-    return Figures(
-        cell.task,
-        Path(cell.assets).name,
-        cell.quality,
-        len(outcomes),
-        sum(o.success for o in outcomes),
-        sum(o.elegant for o in outcomes),
-        float(np.mean([o.steps for o in outcomes])),
-        float(np.mean(taken)),
-        float(np.mean(stepping)),
-    )
+            outcome = run_episode(Monitor(scene), demonstrator_for(scene, seed, float(careful)), step)
+            seconds = time.perf_counter() - begin
+            found[seed, careful] = Episode(outcome.success, outcome.elegant, outcome.steps, seconds, spent[0])
+    return found
 
 
 def main() -> None:
+    from jiti.runtime.sim.demonstrators import is_careful
+
     asked = _arguments()
     console = Console(stderr=True)
     seeds = tuple(range(asked.seed, asked.seed + asked.episodes))
-    packs = asked.assets or ["primitive"]
-    cells = [Cell(task, packs[0], quality, seeds) for task in asked.task or ELEGANT for quality in asked.quality]
-    cells += [Cell(task, pack, 0.5, seeds) for task in asked.task or ELEGANT for pack in packs[1:]]
-    found: dict[Cell, Figures] = {}
-    context = multiprocessing.get_context("spawn")
+    tasks, packs = asked.task or ELEGANT, asked.assets or ["primitive"]
+    cells = [
+        (task, pack, q) for task in tasks for pack in packs for q in (asked.quality if pack == packs[0] else [0.5])
+    ]
+    # An episode is the same in every cell that has its seed and its intent, so each is run once.
+    wanted: dict[tuple[str, str], dict[tuple[int, bool], None]] = {}
+    for task, pack, quality in cells:
+        wanted.setdefault((task, pack), {}).update({(seed, is_careful(seed, quality)): None for seed in seeds})
     start = time.monotonic()
+    found: dict[tuple[str, str], dict[tuple[int, bool], Episode]] = {}
+    context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), mp_context=context, max_tasks_per_child=1) as pool:
-        jobs = {pool.submit(measure, cell): cell for cell in cells}
+        jobs = {pool.submit(measure, Runs(*key, tuple(episodes))): key for key, episodes in wanted.items()}
         for job in as_completed(jobs):
-            figures = found[jobs[job]] = job.result()
-            console.print(f"{time.monotonic() - start:6.0f} s  {_line(figures)}", markup=False, highlight=False)
-    rows = [found[cell] for cell in cells]
+            found[jobs[job]] = job.result()
+            console.print(f"{time.monotonic() - start:6.0f} s  {' '.join(jobs[job])}", markup=False, highlight=False)
+    rows = [
+        _figures(task, pack, quality, [found[task, pack][seed, is_careful(seed, quality)] for seed in seeds])
+        for task, pack, quality in cells
+    ]
     show(rows, seeds)
     if asked.json:
         told = [asdict(row) for row in rows]
         asked.json.write_text(json.dumps({"seeds": seeds, "cells": told}, indent=2) + "\n")
+
+
+def _figures(task: str, pack: str, quality: float, episodes: Sequence[Episode]) -> Figures:
+    return Figures(
+        task,
+        Path(pack).name,
+        quality,
+        len(episodes),
+        sum(e.success for e in episodes),
+        sum(e.success and e.elegant for e in episodes),
+        fmean(e.steps for e in episodes),
+        fmean(e.seconds for e in episodes),
+        fmean(e.step_seconds for e in episodes),
+    )
 
 
 def show(rows: Sequence[Figures], seeds: Sequence[int]) -> None:
@@ -132,10 +156,6 @@ def _cells(row: Figures) -> tuple[str, ...]:
     success = f"{row.success / row.episodes:.0%} ({row.success})"
     ratio = f"{row.seconds / row.step_seconds:.2f}x"
     return row.task, row.assets, f"{row.quality:g}", success, elegant, f"{row.steps:.0f}", f"{row.seconds:.2f}", ratio
-
-
-def _line(row: Figures) -> str:
-    return "  ".join(_cells(row))
 
 
 def _arguments() -> argparse.Namespace:

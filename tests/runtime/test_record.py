@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import av
 import numpy as np
+import psutil
 import pytest
 from mcap.reader import make_reader
 
@@ -28,6 +30,7 @@ from jiti.tasks.goal import parse_goal
 from jiti.tasks.judge import judge
 
 TASK = load_catalogue().task("elegant/T2")
+OTHER_GOAL = replace(TASK, itcs=(replace(TASK.itcs[0], goal="(AtEnd (On akita_black_bowl_1 plate_1))"),))
 NOWHERE = Graphics(None, "not needed")
 BLIND = Plan(TASK, seed=3, cameras=())
 """Without cameras, as fast as it goes."""
@@ -207,6 +210,27 @@ def test_an_interrupt_stops_every_process_and_leaves_nothing(tmp_path):
 
 
 @pytest.mark.sim
+def test_workers_end_when_the_process_that_asked_is_killed(tmp_path):
+    with subprocess.Popen(command(tmp_path, "--episodes", "6", "--workers", "2"), stdout=subprocess.PIPE) as process:
+        wait_for(lambda: list(tmp_path.glob(".tmp-*")))
+        workers = psutil.Process(process.pid).children(recursive=True)
+        assert len(workers) >= 2
+        process.kill()
+    _, alive = psutil.wait_procs(workers, timeout=60)
+    assert not alive
+    assert not list(tmp_path.glob(".tmp-*"))  # they took their unfinished files away
+
+
+@pytest.mark.sim
+def test_a_folder_takes_one_run_at_a_time(tmp_path):
+    with subprocess.Popen(command(tmp_path, "--episodes", "1"), stdout=subprocess.PIPE) as process:
+        wait_for(lambda: list(tmp_path.glob(".tmp-*")))
+        with pytest.raises(UsageError, match="another `jiti record` is at work in"):
+            record(BLIND, tmp_path, episodes=1)
+        process.kill()
+
+
+@pytest.mark.sim
 def test_without_pictures_it_says_so_and_goes_on(blind, tmp_path):
     shutil.copy(blind / "elegant-T2_0003.mcap", tmp_path)
     said: list[str] = []
@@ -223,6 +247,7 @@ def test_without_pictures_it_says_so_and_goes_on(blind, tmp_path):
     [
         (Plan(TASK, seed=3, cameras=(), quality=0.1), r"quality '0.5' and not '0.1'.*--out"),
         (Plan(TASK, seed=3, cameras=(), start="file"), r"start 'jitter' and not 'file'"),
+        (Plan(OTHER_GOAL, seed=3, cameras=()), r"goals '\(AtEnd .*' and not '\(AtEnd \(On "),
     ],
 )
 def test_recordings_of_another_plan_are_never_replaced(blind, plan, said):
@@ -247,6 +272,10 @@ def test_what_cannot_be_recorded_is_said(tmp_path):
         record(Plan(load_catalogue().task("so100/T0")), tmp_path, episodes=1)
     with pytest.raises(UsageError, match=r"--quality 1\.5 is not in 0 to 1"):
         Plan(TASK, quality=1.5)
+    with pytest.raises(UsageError, match="there is no scripted expert for lab/bowl"):
+        record(Plan(replace(TASK, task_id="lab/bowl"), cameras=()), tmp_path, episodes=1)
+    with pytest.raises(UsageError, match="a camera is named twice: front, front"):
+        Plan(TASK, cameras=("front", "front"))
     with pytest.raises(UsageError, match=r"there is no camera 'side'; there are: front, wrist"):
         Plan(TASK, cameras=("side",))
     assert list(tmp_path.iterdir()) == []
