@@ -53,6 +53,7 @@ def test_lerobot_makes_them_side_by_side(lerobot_env):
         env.close()
 
 
+@pytest.mark.slow
 def test_the_plugin_is_found_by_lerobots_command_line():
     code = (
         "import sys\nsys.argv = ['x', '--env.discover_packages_path=jiti.runtime.sim.lerobot_env', '--env.type=jiti',"

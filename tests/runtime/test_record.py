@@ -136,6 +136,7 @@ def test_rerun_takes_the_recording(seen, tmp_path):
     assert out.stat().st_size > 100_000
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_a_seed_gives_the_same_messages_on_several_cores_in_other_processes_and_in_silence(blind, tmp_path):
     code = (
@@ -197,6 +198,7 @@ def test_a_killed_run_goes_on_where_it_was_and_leaves_no_half_file(blind, tmp_pa
     assert messages(tmp_path / "elegant-T2_0004.mcap") == messages(blind / "elegant-T2_0004.mcap")
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_an_interrupt_stops_every_process_and_leaves_nothing(tmp_path):
     with subprocess.Popen(
@@ -209,6 +211,7 @@ def test_an_interrupt_stops_every_process_and_leaves_nothing(tmp_path):
     assert not list(tmp_path.glob(".tmp-*"))
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_workers_end_when_the_process_that_asked_is_killed(tmp_path):
     with subprocess.Popen(command(tmp_path, "--episodes", "6", "--workers", "2"), stdout=subprocess.PIPE) as process:
@@ -221,6 +224,7 @@ def test_workers_end_when_the_process_that_asked_is_killed(tmp_path):
     assert not list(tmp_path.glob(".tmp-*"))  # they took their unfinished files away
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_a_folder_takes_one_run_at_a_time(tmp_path):
     with subprocess.Popen(command(tmp_path, "--episodes", "1"), stdout=subprocess.PIPE) as process:

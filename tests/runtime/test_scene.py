@@ -16,7 +16,7 @@ CATALOGUE = load_catalogue()
 SIMULATED = [task.task_id for task in CATALOGUE if task.bddl]
 
 
-@pytest.fixture(params=["primitive", "libero"])
+@pytest.fixture(params=["primitive", pytest.param("libero", marks=pytest.mark.slow)])
 def assets(request: pytest.FixtureRequest) -> str:
     """Our pack, and LIBERO's where it lies beside the checkout."""
     return request.param if request.param == "primitive" else str(request.getfixturevalue("libero_assets"))
