@@ -20,11 +20,12 @@ from jiti.runtime.sim.world import GRIPPER
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.task import Task
 
-MOST_STEPS = {"libero_spatial": 280, "libero_object": 280, "libero_goal": 300, "libero_10": 520, "libero_90": 400}
-"""Steps after which an episode is cut off, by suite. lerobot 0.6.1, `TASK_SUITE_MAX_STEPS`."""
+MOST_STEPS = 600
+"""Steps after which an episode is cut off. Our choice: the longest demonstration, a push in T6, takes 480; lerobot
+0.6.1 cuts LIBERO's suites off after 280 to 520, before some ITCs are decided."""
 SETTLED_STEPS = 10
-"""Steps without a touch after a success after which an episode ends. Our choice: half a second, in which what was let
-go of comes to rest; ending at the first success, as lerobot does, would end before the hand lets go."""
+"""Steps without a touch, after a success, that end an episode. Our choice: half a second, in which what was let go of
+comes to rest; ending at the first success, as lerobot does, would end before the hand lets go."""
 
 
 class ElegantEnv(gym.Env):
@@ -59,8 +60,7 @@ class ElegantEnv(gym.Env):
             raise UsageError(f"{self.task.task_id} with cameras {', '.join(cameras)}: {graphics.message}")
         self.render_mode = render_mode
         self._start: Start = start
-        suite = (self.task.bddl or "").partition("/")[0]
-        self.most_steps = max_episode_steps or MOST_STEPS.get(suite, max(MOST_STEPS.values()))
+        self.most_steps = max_episode_steps or MOST_STEPS
         self.scene = Scene(self.task, assets=assets, graphics=graphics, cameras=cameras, picture_size=picture_size)
         self._graphics = graphics
         self._monitor = Monitor(self.scene)

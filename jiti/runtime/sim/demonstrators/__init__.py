@@ -49,4 +49,5 @@ def expert_for(task: Task) -> type[Demonstrator]:
 
 def demonstrator_for(scene: Scene, seed: int, quality: float) -> Demonstrator:
     """The expert for a scene that was reset with a seed. Raises UsageError when no one knows how to do its task."""
-    return expert_for(scene.task)(scene, float(is_careful(seed, quality)), np.random.default_rng([seed, 1]))
+    random = np.random.default_rng([seed, 1])
+    return expert_for(scene.task)(scene, careful=is_careful(seed, quality), random=random)

@@ -26,8 +26,8 @@ class BookCarrier(Demonstrator):
     What is placed, and where, is the first thing that LIBERO's goal asks for.
     """
 
-    def __init__(self, scene: Scene, quality: float, random: np.random.Generator) -> None:
-        super().__init__(scene, quality, random)
+    def __init__(self, scene: Scene, *, careful: bool, random: np.random.Generator) -> None:
+        super().__init__(scene, careful=careful, random=random)
         _, self.book, self.region = scene.goal[0]
         low, high = self.world.extent(self.book)
         self.size = high - low

@@ -31,13 +31,8 @@ MOST_STEPS = 250
 class CloseSmoothly(Demonstrator):
     """Careful: one even, gentle push to the end. Careless: a run-up, and the part is slammed."""
 
-    def __init__(self, scene: Scene, quality: float, random: np.random.Generator) -> None:
-        self.part = _part(scene)
-        self._side = 0
-        super().__init__(scene, quality, random)
-
     def _run(self) -> Iterator[np.ndarray]:
-        random = self.random
+        random, self.part, self._side = self.random, _part(self.scene), 0
         aside = np.array([*random.uniform(-0.008, 0.008, 2), random.uniform(-0.004, 0.004)])
         local = self.world.handle(self.part) + aside
         if self.world.hinged(self.part):

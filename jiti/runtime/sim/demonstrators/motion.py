@@ -42,13 +42,12 @@ def draw_temper(random: np.random.Generator) -> Temper:
 class Demonstrator:
     """A scripted expert that sees all poses of the scene and gives one action (7,) a step until it is done.
 
-    Subclasses write `_run`, a generator of actions that looks at `self.scene` as it goes. Whether the episode is to be
-    done with care is drawn once, with probability `quality`; how it turned out only the predicates tell.
+    Subclasses write `_run`, a generator of actions that looks at `self.scene` as it goes. `careful` is how the episode
+    is meant; how it turned out only the predicates tell.
     """
 
-    def __init__(self, scene: Scene, quality: float, random: np.random.Generator) -> None:
-        self.scene, self.world, self.random = scene, scene.world, random
-        self.careful = bool(random.random() < quality)
+    def __init__(self, scene: Scene, *, careful: bool, random: np.random.Generator) -> None:
+        self.scene, self.world, self.random, self.careful = scene, scene.world, random, careful
         self.temper = draw_temper(random)
         self._actions = self._run()
 

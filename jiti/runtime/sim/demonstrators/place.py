@@ -37,8 +37,8 @@ class Place(Demonstrator):
     stray_m = (0.0, 0.008)
     """How far from the middle of the target the thing is held at first. Our choice: what a basket does not mind."""
 
-    def __init__(self, scene: Scene, quality: float, random: np.random.Generator) -> None:
-        super().__init__(scene, quality, random)
+    def __init__(self, scene: Scene, *, careful: bool, random: np.random.Generator) -> None:
+        super().__init__(scene, careful=careful, random=random)
         self.thing, self.target = scene.interest[:2]
 
     def _run(self) -> Iterator[np.ndarray]:

@@ -10,23 +10,25 @@ from jiti.runtime.sim.scene import STEP_M
 from jiti.runtime.sim.world import LEFT
 
 PRESS_M = 0.003
-"""How far below the plate's floor the fingertip wants to be: a newton at most. With none the finger tips the plate, which
-weighs 12 g, over the foot that it stands on; with much it drags on the table and the finger slips."""
-FLOAT_M = 0.003
-"""How far above the floor the fingertip moves within the plate; the rim is some 10 mm high."""
-PUT_DOWN_M = 0.012
+"""How far below the plate's floor the fingertip wants to be: a newton at most. With none the finger tips the plate,
+which weighs 12 g, over the foot that it stands on; with much it drags on the table and the finger slips."""
+FLOAT_M = 0.008
+"""How far above the floor the fingertip moves to another place within the plate; the rim is some 10 mm high."""
+PUT_DOWN_M = 0.018
 """The same as it is set down, which must be more than the joints' friction holds up."""
 BEHIND_M = 0.016
 """Where it begins to push, behind the plate's middle: it creeps forwards by some 2 cm on the way, the floor has 6."""
-CREPT_M = 0.033
-"""How far from the plate's middle it may creep before it is set anew; a finger that climbs the rim tips the plate."""
+TIPPED_RAD = 0.08
+"""By how much the plate may tip before the finger, which then climbs the rim, is set anew."""
 TURN_RAD = 0.8
 """By how much the way may turn before it is set anew."""
 SWING_RAD = 0.03
 """By how much the hand swings around its finger in a step."""
 BESIDE_RAD, CORNER_RAD, LAST_RAD = 1.9, 2.6, 2.0
-"""Where the hand is from the finger, from the x axis: beside what is gone around, past it, at the corner of the way, which
-the robot can just reach, and at the end, beside the stove."""
+"""Where the hand is from the finger, from the x axis: beside what is gone around, past it, at the corner of the way,
+which the robot can just reach, and at the end, beside the stove."""
+BACK_M = 0.05
+"""How far from the end it begins to swing back."""
 BACK_SPEED = 0.2
 """Greatest length of an action towards the robot: the arm is nearly straight, and a quick pull lifts the hand."""
 LEAST_M = 0.010
@@ -39,25 +41,32 @@ CUT_M = (0.011, 0.024)
 """By how much the careless run it over what stands there, which may move by 5 mm; with more it rides up on that."""
 INSIDE_M = 0.004
 """How far inside the region the plate's origin must come to lie; sliding ends 3 mm from where it should."""
+TRIES = 3
+"""Times that the finger is set into the plate; where it slips, the plate is left short of its end."""
 VIA_M, END_M = 0.012, 0.003
 """How near to a point on the way, and to its end, the plate must come."""
 
 
 class PushPlate(Demonstrator):
-    """Sets one finger into the plate and pushes it over the table, the hand beside it and away from what stands around."""
+    """Sets one finger into the plate and pushes it over the table, the hand beside it and away from other things."""
 
     def _run(self) -> Iterator[np.ndarray]:
         self.plate, self.region = self.scene.interest
         low, high = self.world.extent(self.plate)
         self.radius = float((high - low)[:2].max()) / 2
         *vias, end = self._way()
-        yield from self._enter(self._ahead((*vias, end)[0])[0])
         speed = self.temper.speed * self.random.uniform(0.35, 0.55)
-        for via in vias:
-            yield from self._slide(via, VIA_M, speed)
-        yield from self._slide(end, END_M, speed)
-        yield from self.wait(int(self.random.integers(1, 5)), OPEN)
-        yield from self.go(self.eef + [0, 0, self.random.uniform(0.09, 0.14)], OPEN, steady=True)
+        for _ in range(TRIES):
+            yield from self._enter(self._ahead((*vias, end)[0])[0])
+            for via in vias:
+                yield from self._slide(via, VIA_M, speed)
+            yield from self._slide(end, END_M, speed)
+            yield from self.wait(int(self.random.integers(1, 5)), OPEN)
+            yield from self.go(self.eef + [0, 0, self.random.uniform(0.09, 0.14)], OPEN, steady=True)
+            if self.scene.holds("On", self.plate, self.region):
+                break
+            left_m = self._ahead(end)[1]
+            vias = [via for via in vias if np.linalg.norm(end - via) < left_m - VIA_M]  # those still before it
         yield from self.wait(10, OPEN)
 
     def _enter(self, ahead: np.ndarray) -> Iterator[np.ndarray]:
@@ -85,15 +94,14 @@ class PushPlate(Demonstrator):
         before, self.ahead = self.ahead, self._ahead(place)[0]
         if before @ self.ahead < np.cos(TURN_RAD):
             yield from self._set_anew(self.ahead)
-            self.swing_to_rad = LAST_RAD
-        for _ in range(100):
+        for _ in range(160):
             self.ahead, left_m = self._ahead(place)
             if left_m < near_m:
                 return
-            if self.world.position(self.plate)[1] > self.passed_m and self.swing_to_rad == BESIDE_RAD:
-                self.swing_to_rad = CORNER_RAD
+            if self.world.position(self.plate)[1] > self.passed_m:
+                self.swing_to_rad = LAST_RAD if self.ahead[0] < -0.5 and left_m < BACK_M else CORNER_RAD
             offset = self._offset()
-            if np.linalg.norm(offset) > CREPT_M:
+            if self.world.rotation(self.plate)[2, 2] < np.cos(TIPPED_RAD):
                 yield from self._set_anew(self.ahead)
             # The press is not to be scaled down with the way, so that is cut here.
             most_m = (speed + (BACK_SPEED - speed) * max(0.0, -self.ahead[0])) * STEP_M / self.temper.gain
@@ -121,9 +129,13 @@ class PushPlate(Demonstrator):
         return hand_down(angle_rad - np.pi / 2)
 
     def _set_anew(self, ahead: np.ndarray) -> Iterator[np.ndarray]:
-        """Lift the finger off the floor and set it down again behind the plate's middle, before it climbs the rim."""
+        """Lift the finger off the floor and set it down again behind the plate's middle."""
+        for _ in range(10):
+            if not self.world.touching(LEFT, self.plate):
+                break
+            yield self._move_finger(np.zeros(2), self.floor_m + 2 * FLOAT_M)
         for height_m, near_m in ((FLOAT_M, 0.004), (-PUT_DOWN_M, 0.0)):
-            for _ in range(20):
+            for _ in range(30):
                 way = -BEHIND_M * ahead - self._offset()
                 if np.linalg.norm(way) < near_m or (height_m < 0 and self.world.touching(LEFT, self.plate)):
                     break

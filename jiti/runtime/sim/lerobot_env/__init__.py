@@ -39,7 +39,7 @@ class JitiEnv(EnvConfig):
     observation_size: int = PICTURE_SIZE
     """Height and width of a picture in pixels."""
     episode_length: int | None = None
-    """Steps until an episode is cut off; None for lerobot's own number for the suite."""
+    """Steps until an episode is cut off; None for 600."""
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
 
