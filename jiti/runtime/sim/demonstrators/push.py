@@ -125,7 +125,7 @@ class PushPlate(Demonstrator):
 
     @staticmethod
     def _beside(angle_rad: float) -> np.ndarray:
-        """(3, 3): the hand at an angle from the finger, seen from above, leaning back to the robot."""
+        """(3, 3): the hand at an angle from the finger, seen from above."""
         return hand_down(angle_rad - np.pi / 2)
 
     def _set_anew(self, ahead: np.ndarray) -> Iterator[np.ndarray]:
