@@ -271,7 +271,11 @@ def record(
     plan = Plan(found, quality=quality, seed=seed, start=start.value, assets=assets, cameras=shown)
     folder = out or Path(f"jiti-{found.task_id.replace('/', '-')}")
     with _progress("Recording") as progress:
-        recorded = record_all(plan, folder, episodes=episodes, workers=workers, progress=progress)
+        try:
+            recorded = record_all(plan, folder, episodes=episodes, workers=workers, progress=progress)
+        except KeyboardInterrupt:
+            print(f"Stopped. What is whole stays in {folder}; the same command goes on there.", file=sys.stderr)
+            raise
     print_recorded(recorded, folder, as_json=as_json)
 
 

@@ -15,7 +15,15 @@ from jiti.episodes.mcap_problems import chunk_losses, late_problem, loss_problem
 from jiti.episodes.mcap_read import Fault, Faults, read_streams
 from jiti.episodes.mcap_records import MAGIC, MAX_UNPACKED_BYTES, McapFile, RecordDamaged, unpack
 from jiti.episodes.mcap_scan import read_unindexed
-from jiti.episodes.mcap_streams import McapStream, Sampler, put_in_order, streams_of, task_id_of, task_of
+from jiti.episodes.mcap_streams import (
+    McapStream,
+    Sampler,
+    frame_rate_of,
+    own_metadata,
+    put_in_order,
+    streams_of,
+    task_of,
+)
 from jiti.episodes.mcap_summary import NoSummary, read_indexed
 from jiti.errors import SourceError
 
@@ -54,8 +62,8 @@ class McapEpisode:
         self._streams = {stream.name: stream for stream in found}
         self.streams: Mapping[str, Stream] = {stream.name: stream.describe() for stream in found}
         self.task = task_of(self._contents, found)
-        self.task_id = task_id_of(self._contents)
-        self.clock = _clock(found)
+        self.task_id = own_metadata(self._contents).get("task")
+        self.clock = _clock(found, frame_rate_of(self._contents))
         self.image_bytes = _image_bytes(self._contents, found)
         self._faults = Faults()
         self._opening_problems = self._find_problems()
@@ -209,7 +217,7 @@ def _fingerprint(file: McapFile) -> str:
     return digest.hexdigest()
 
 
-def _clock(streams: Sequence[McapStream]) -> Clock:
+def _clock(streams: Sequence[McapStream], rate_hz: float) -> Clock:
     """The first camera's pictures, else the first depth camera's, else a fixed rate over the numbers."""
     for kind in ("camera", "depth"):
         for stream in streams:
@@ -219,7 +227,7 @@ def _clock(streams: Sequence[McapStream]) -> Clock:
     enough = [t for t in numeric if len(t) >= FEW_MESSAGES]
     times = np.sort(np.concatenate(enough or numeric or [s.time_ns for s in streams]))
     bulk = max(np.split(times, np.flatnonzero(np.diff(times) > APART_NS) + 1), key=len)
-    return fixed_rate(int(bulk[0]), int(bulk[-1]))
+    return fixed_rate(int(bulk[0]), int(bulk[-1]), rate_hz)
 
 
 def _merged(old: Faults, new: Faults) -> Faults:

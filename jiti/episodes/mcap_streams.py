@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from mcap.records import Channel
 
-from jiti.episodes.clock import stretches_in_order, unwrap_together
+from jiti.episodes.clock import FIXED_RATE_HZ, stretches_in_order, unwrap_together
 from jiti.episodes.episode import INTER_CODED, Stream, StreamKind
 from jiti.episodes.keyframes import is_key_frame
 from jiti.episodes.mcap_components import Components, text_in
@@ -20,6 +20,8 @@ from jiti.episodes.mcap_records import MESSAGE_RECORD, McapFile, RecordDamaged, 
 TRIES = 8
 """Chunks, and messages a chunk, that are tried for a first message that can be decoded. Our choice."""
 
+MAX_RATE_HZ = 1000.0
+"""Beyond which a recorder's rate is not believed: frames are kept in memory. Our choice."""
 _TASK_TOPIC = re.compile(r"(task|instruction|language|prompt)", re.IGNORECASE)
 _TASK_FIELDS = ("instruction", "language_instruction", "task", "task_description", "language", "prompt")
 
@@ -270,10 +272,18 @@ def task_of(contents: Contents, streams: Sequence[McapStream]) -> str | None:
     return next((stream.text for stream in streams if stream.text), None)
 
 
-def task_id_of(contents: Contents) -> str | None:
-    """The task's id, where jiti's own recorder wrote it."""
-    own = (record.metadata for record in contents.metadata if record.name == METADATA_NAME)
-    return next((values["task"] for values in own if values.get("task")), None)
+def own_metadata(contents: Contents) -> Mapping[str, str]:
+    """What a recorder of jiti wrote of itself; empty for recordings of others."""
+    return {k: v for record in contents.metadata if record.name == METADATA_NAME for k, v in record.metadata.items()}
+
+
+def frame_rate_of(contents: Contents) -> float:
+    """Rate of the frames of a recording without cameras: what jiti's recorder says, else a fixed one."""
+    try:
+        rate_hz = float(own_metadata(contents).get("rate_hz", FIXED_RATE_HZ))
+    except ValueError:
+        return FIXED_RATE_HZ
+    return rate_hz if 0 < rate_hz <= MAX_RATE_HZ else FIXED_RATE_HZ
 
 
 def _video_shape(picture: Picture) -> tuple[int, ...]:

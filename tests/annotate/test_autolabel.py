@@ -31,10 +31,16 @@ BAD = {HELD: range(20, 51), RESTS: range(55, 100)}
 
 
 def write(
-    path: Path, holds: Mapping[str, Sequence[int]], *, task: str = "elegant/T0", camera: bool = True, steps: int = 100
+    path: Path,
+    holds: Mapping[str, Sequence[int]],
+    *,
+    task: str = "elegant/T0",
+    camera: bool = True,
+    steps: int = 100,
+    **metadata: str,
 ) -> None:
     """A recording as `jiti record` makes it, with predicates that hold at the given steps."""
-    with McapWriter(path, instruction=CATALOGUE.task(task).instruction, metadata={"task": task}) as writer:
+    with McapWriter(path, instruction=CATALOGUE.task(task).instruction, metadata={"task": task} | metadata) as writer:
         for step in range(steps):
             time_ns = START_NS + step * STEP_NS
             if camera:
@@ -66,7 +72,8 @@ def test_a_window_of_the_papers_length_ends_where_the_itc_was_decided(tmp_path):
 
 
 def test_the_recorders_task_counts_where_several_share_an_instruction(tmp_path):
-    write(tmp_path / "a.mcap", GOOD, task="g4/ketchup")
+    inside = {"In ketchup_1 basket_1_contain_region": range(55, 100)}
+    write(tmp_path / "a.mcap", GOOD | inside, task="g4/ketchup")
     assert CATALOGUE.task("g4/ketchup").instruction == CATALOGUE.task("elegant/T0").instruction
     label(tmp_path)
     assert read_segments(tmp_path / "labels")["itc_id"].to_pylist() == ["g4/ketchup/release-inside"]
@@ -78,6 +85,20 @@ def test_without_a_camera_the_segment_is_where_it_was_in_time(tmp_path):
     (row,) = read_segments(tmp_path / "labels").to_pylist()
     assert row["end_frame"] - row["start_frame"] == 24
     assert abs(row["end_ns"] - (START_NS + 60 * STEP_NS)) <= 1e9 / 30
+
+
+def test_without_a_camera_frames_run_at_the_recorders_rate(tmp_path):
+    write(tmp_path / "a.mcap", GOOD, camera=False, rate_hz="20")
+    label(tmp_path)
+    (row,) = read_segments(tmp_path / "labels").to_pylist()
+    assert (row["start_frame"], row["end_frame"]) == (36, 60)
+
+
+@pytest.mark.parametrize("rate_hz", ["", "fast", "0", "-5", "1e9", "nan"])
+def test_a_rate_that_cannot_be_is_not_believed(tmp_path, rate_hz):
+    write(tmp_path / "a.mcap", GOOD, camera=False, rate_hz=rate_hz)
+    reader = open_reader(tmp_path)
+    assert reader.open(reader.episodes()[0].episode_id).clock.rate_hz == pytest.approx(30)
 
 
 def test_a_decision_near_the_start_keeps_the_windows_length(tmp_path):
@@ -114,6 +135,14 @@ def test_an_episode_without_a_trace_is_left_out_and_said(tmp_path):
     assert "has no stream '/predicates'" in done.skipped[0]
     assert "left out" in str(done)
     assert json.loads(done.to_json())["skipped"] == list(done.skipped)
+
+
+def test_a_trace_of_other_goals_is_left_out_and_said(tmp_path):
+    write(tmp_path / "a.mcap", GOOD)
+    write(tmp_path / "b.mcap", GOOD, task="g4/ketchup")
+    done = label(tmp_path)
+    assert (done.episodes, len(done.skipped)) == (1, 1)
+    assert "b.mcap: the trace has no 'In ketchup_1 basket_1_contain_region'" in done.skipped[0]
 
 
 def test_nothing_at_all_is_an_error(tmp_path):

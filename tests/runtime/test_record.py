@@ -207,7 +207,8 @@ def test_an_interrupt_stops_every_process_and_leaves_nothing(tmp_path):
         wait_for(lambda: list(tmp_path.glob(".tmp-*")))
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=100)
-    assert (process.returncode, out, error) == (130, b"", b"")
+    assert (process.returncode, out) == (130, b"")
+    assert error.decode() == f"Stopped. What is whole stays in {tmp_path}; the same command goes on there.\n"
     assert not list(tmp_path.glob(".tmp-*"))
 
 

@@ -1,11 +1,13 @@
 """Every simulated task builds, resets and steps, with our own asset pack and with LIBERO's."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jiti.errors import UsageError
+from jiti.runtime.sim.libero import PRIMITIVE
 from jiti.runtime.sim.monitor import Monitor
 from jiti.runtime.sim.scene import SETTLE_STEPS, Scene
 from jiti.tasks.catalogue import load_catalogue
@@ -136,3 +138,14 @@ def test_what_a_scene_does_not_have_is_said(bowl: Scene, tmp_path: Path) -> None
         Scene(CATALOGUE.task("so100/T0"))
     with pytest.raises(UsageError, match="is no asset pack"):
         Scene(CATALOGUE.task("elegant/T2"), assets=tmp_path)
+
+
+def test_a_pack_that_lacks_something_is_answered_with_the_check(tmp_path: Path) -> None:
+    pack = tmp_path / "mine"
+    shutil.copytree(PRIMITIVE, pack)
+    (pack / "stable_scanned_objects/plate/plate.xml").unlink()
+    with pytest.raises(UsageError, match=r"does not build elegant/T2: .*plate\.xml.*jiti tasks check --assets"):
+        Scene(CATALOGUE.task("elegant/T2"), assets=pack)
+    (pack / "stable_scanned_objects/plate/plate.xml").write_text("<mujoco><worldbody/></mujoco>")
+    with pytest.raises(UsageError, match="does not build elegant/T2: .*jiti tasks check --assets"):
+        Scene(CATALOGUE.task("elegant/T2"), assets=pack)

@@ -28,7 +28,7 @@ from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.libero import PRIMITIVE, bddl_file, pack_folder
 from jiti.runtime.sim.record_episode import OUTCOME, record_episode
-from jiti.runtime.sim.scene import CAMERAS, Scene, Start
+from jiti.runtime.sim.scene import CAMERAS, CONTROL_HZ, Scene, Start
 from jiti.tasks.task import Task
 
 Progress = Callable[[float, str], None]
@@ -85,6 +85,7 @@ class Plan:
             "assets": self.pack_name,
             "cameras": " ".join(self.cameras if graphics.backend else ()),
             "picture_size": str(self.picture_size),
+            "rate_hz": str(CONTROL_HZ),
             "goals": " ".join(itc.goal for itc in self.task.itcs),
         }
 
@@ -135,6 +136,8 @@ def record(
     expert_for(plan.task)
     graphics = graphics or (find_graphics() if plan.cameras else Graphics(None, "recording without pictures"))
     paths = [plan.path(folder, number) for number in range(episodes)]
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file; it must be a folder, which need not exist yet.")
     make_folder(folder)
     with _alone(folder):
         kept = {number for number, path in enumerate(paths) if _is_kept(path, plan, number, graphics)}
@@ -213,9 +216,20 @@ def _record_apart(
                 "a recording process was ended from outside, perhaps for want of memory. What is finished is kept: run "
                 "the same command again, with fewer --workers."
             ) from error
-        finally:
+        except BaseException:
             stop.set()
-            pool.shutdown(wait=True, cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
+            _end_soon(multiprocessing.active_children())
+            raise
+
+
+def _end_soon(workers: Sequence[multiprocessing.process.BaseProcess]) -> None:
+    """Give each worker a moment to take its unfinished file away, and end those that build a scene meanwhile."""
+    end = time.monotonic() + GRACE_S
+    for worker in workers:
+        worker.join(max(0.0, end - time.monotonic()))
+        if worker.is_alive():
+            worker.terminate()
 
 
 class _Stopped(Exception):
@@ -287,7 +301,11 @@ def _is_kept(path: Path, plan: Plan, number: int, graphics: Graphics) -> bool:
     found, wanted = recorded_metadata(path), plan.about(number, graphics)
     if OUTCOME not in found:
         raise UsageError(f"{path} is another recording, and recordings are not replaced. Move that file away.")
-    other = [f"{key} {found.get(key)!r} and not {value!r}" for key, value in wanted.items() if found.get(key) != value]
+    other = [
+        f"{key} {found.get(key) or 'none'!r} and not {value or 'none'!r}"
+        for key, value in wanted.items()
+        if found.get(key) != value
+    ]
     if other:
         raise UsageError(
             f"{path} was recorded with {', '.join(other)}, and recordings are not replaced. "

@@ -1,10 +1,12 @@
 """One of LIBERO's tasks in MuJoCo: reset from a seed, stepped by actions, looked at by name and by camera."""
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, get_args
+from xml.etree.ElementTree import ParseError
 
 import numpy as np
 
@@ -81,7 +83,7 @@ class Scene:
         self.cameras = tuple(cameras) if graphics and graphics.backend else ()
         info = importlib.import_module("libero.libero.envs.bddl_utils").get_problem_info(str(self._file))
         problem = envs.TASK_MAPPING[info["problem_name"]]
-        with global_seed(0):
+        with global_seed(0), _explained(task, assets):
             self._env: Any = problem(
                 str(self._file),
                 robots=["Panda"],
@@ -270,6 +272,20 @@ class Scene:
         controller.update(force=True)
         controller.update_initial_joints(self.joint_rad)
         controller.reset_goal()
+
+
+@contextmanager
+def _explained(task: Task, assets: Path | str | None) -> Iterator[None]:
+    """What LIBERO says when an asset pack of a user's lacks something; ours does not."""
+    try:
+        yield
+    except (OSError, ParseError, ValueError, AttributeError, KeyError, TypeError) as error:
+        if assets in (None, "primitive"):
+            raise
+        raise UsageError(
+            f"the asset pack {assets} does not build {task.task_id}: {error}. `jiti tasks check --assets {assets}` "
+            "says what it lacks."
+        ) from error
 
 
 def _nothing() -> None:
