@@ -147,5 +147,5 @@ def test_a_pack_that_lacks_something_is_answered_with_the_check(tmp_path: Path) 
     with pytest.raises(UsageError, match=r"does not build elegant/T2: .*plate\.xml.*jiti tasks check --assets"):
         Scene(CATALOGUE.task("elegant/T2"), assets=pack)
     (pack / "stable_scanned_objects/plate/plate.xml").write_text("<mujoco><worldbody/></mujoco>")
-    with pytest.raises(UsageError, match="does not build elegant/T2: .*jiti tasks check --assets"):
+    with pytest.raises(UsageError, match=r"does not build elegant/T2: .*jiti tasks check --assets"):
         Scene(CATALOGUE.task("elegant/T2"), assets=pack)
