@@ -4,14 +4,14 @@ The place follows from the Elegance Criterion and from when the gripper closed a
 met needs eyes, so the verdict is left to the reviewer.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from jiti.annotate.events import Event, EventKind, Events, find_events
-from jiti.annotate.segments import DEFAULT_WINDOW_FRAMES, Segment, new_segment_id
+from jiti.annotate.segments import DEFAULT_WINDOW_FRAMES, Segment
+from jiti.annotate.window import proposed_window
 from jiti.episodes.episode import Episode
-from jiti.tasks.task import ITC, Criterion, Task
+from jiti.tasks.task import Criterion, Task
 
 ANNOTATOR = "signal"
 """Name of the partition that these proposals are written to."""
@@ -44,14 +44,15 @@ def propose_segments(episode: Episode, task: Task, events: Events | None = None)
     """
     events = find_events(episode) if events is None else events
     holds = _holds(events)
-    now = time.time_ns()
     proposals = []
     for itc in task.itcs:
         places = [_place(itc.criterion, hold, events) for hold in holds] or [_place_without_gripper(events)]
         for place in places:
             if place is not None:
                 end, confidence, why = place
-                proposals.append(_segment(episode, itc, end, confidence, why, now))
+                proposals.append(
+                    proposed_window(episode, itc, end, source="signal", confidence=round(confidence, 3), rationale=why)
+                )
     return proposals
 
 
@@ -122,26 +123,3 @@ def _place_without_gripper(events: Sequence[Event]) -> tuple[int, float, str] | 
 
 def _first_in(events: Sequence[Event], kinds: tuple[EventKind, ...], start: int, end: int) -> Event | None:
     return next((e for e in events if e.kind in kinds and start < e.frame < end), None)
-
-
-def _segment(episode: Episode, itc: ITC, end: int, confidence: float, why: str, now: int) -> Segment:
-    """A proposal that ends at `end`, moved into the episode where it reaches out of it."""
-    clock = episode.clock
-    end = min(max(end, DEFAULT_WINDOW_FRAMES - 1), clock.frame_count - 1)
-    start = max(0, end - DEFAULT_WINDOW_FRAMES + 1)
-    return Segment(
-        segment_id=new_segment_id(),
-        episode_id=episode.episode_id,
-        itc_id=itc.itc_id,
-        criterion=itc.criterion.value,
-        start_frame=start,
-        end_frame=end,
-        start_ns=int(clock.frame_ns[start]),
-        end_ns=int(clock.frame_ns[end]),
-        status="proposed",
-        source="signal",
-        confidence=round(confidence, 3),
-        rationale=why,
-        created_at=now,
-        updated_at=now,
-    )

@@ -1,11 +1,11 @@
 """Proposals from a simulator's recordings: where each ITC was decided, and how, by the predicates that it traced."""
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
-from jiti.annotate.segments import DEFAULT_WINDOW_FRAMES, Segment, new_segment_id
+from jiti.annotate.segments import Segment
+from jiti.annotate.window import proposed_window
 from jiti.episodes.episode import Episode, numbers
 from jiti.errors import SourceError
 from jiti.tasks.goal import parse_goal
@@ -29,8 +29,7 @@ def propose_from_simulator(episode: Episode, task: Task) -> list[Segment]:
     people. Raises SourceError when the recording has no trace, CatalogueError when its trace lacks a predicate.
     """
     trace, time_ns = read_trace(episode)
-    now = time.time_ns()
-    return [_segment(episode, itc, judge(parse_goal(itc.goal), trace), time_ns, now) for itc in task.itcs if itc.goal]
+    return [_segment(episode, itc, judge(parse_goal(itc.goal), trace), time_ns) for itc in task.itcs if itc.goal]
 
 
 def read_trace(episode: Episode) -> tuple[Trace, np.ndarray]:
@@ -59,27 +58,17 @@ def _columns(
     return {name: read(values[:, column]) for column, name in enumerate(episode.streams[stream].names)}
 
 
-def _segment(episode: Episode, itc: ITC, verdict: Verdict, time_ns: np.ndarray, now: int) -> Segment:
+def _segment(episode: Episode, itc: ITC, verdict: Verdict, time_ns: np.ndarray) -> Segment:
     clock = episode.clock
-    # The frame that shows the step; without cameras, frames have a rate of their own.
+    # The frame that shows the step; without cameras, frames may have a rate of their own.
     decided = int(np.searchsorted(clock.frame_ns, time_ns[verdict.step], side="left"))
     decided = min(decided, clock.frame_count - 1)
-    end = min(max(decided, DEFAULT_WINDOW_FRAMES - 1), clock.frame_count - 1)
-    start = max(0, end - DEFAULT_WINDOW_FRAMES + 1)
-    return Segment(
-        segment_id=new_segment_id(),
-        episode_id=episode.episode_id,
-        itc_id=itc.itc_id,
-        criterion=itc.criterion.value,
-        start_frame=start,
-        end_frame=end,
-        start_ns=int(clock.frame_ns[start]),
-        end_ns=int(clock.frame_ns[end]),
-        reward=int(verdict.satisfied),
-        status="proposed",
+    return proposed_window(
+        episode,
+        itc,
+        decided,
         source="sim",
+        reward=int(verdict.satisfied),
         confidence=1.0,
         rationale=f"{verdict.reason} Decided at frame {decided}.",
-        created_at=now,
-        updated_at=now,
     )
