@@ -202,7 +202,10 @@ def test_a_killed_run_goes_on_where_it_was_and_leaves_no_half_file(blind, tmp_pa
 @pytest.mark.sim
 def test_an_interrupt_stops_every_process_and_leaves_nothing(tmp_path):
     with subprocess.Popen(
-        command(tmp_path, "--episodes", "4", "--workers", "2"), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        command(tmp_path, "--episodes", "4", "--workers", "2"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # which a shell in the background ignores
     ) as process:
         wait_for(lambda: list(tmp_path.glob(".tmp-*")))
         process.send_signal(signal.SIGINT)

@@ -22,12 +22,12 @@ TIPPED_RAD = 0.08
 """By how much the plate may tip before the finger, which then climbs the rim, is set anew."""
 TURN_RAD = 0.8
 """By how much the way may turn before it is set anew."""
-SWING_RAD = 0.03
+SWING_RAD = 0.02
 """By how much the hand swings around its finger in a step."""
 BESIDE_RAD, CORNER_RAD, LAST_RAD = 1.9, 2.6, 2.0
 """Where the hand is from the finger, from the x axis: beside what is gone around, past it, at the corner of the way,
 which the robot can just reach, and at the end, beside the stove."""
-BACK_M = 0.05
+BACK_M = 0.08
 """How far from the end it begins to swing back."""
 BACK_SPEED = 0.2
 """Greatest length of an action towards the robot: the arm is nearly straight, and a quick pull lifts the hand."""
@@ -175,4 +175,5 @@ class PushPlate(Demonstrator):
         places = np.concatenate([places, middle + half * [[-0.2, 1], [1, 1]]])
         room = np.linalg.norm(np.maximum(0, np.maximum(low - places, places - high)), axis=1) - self.radius
         enough = np.flatnonzero(room > self.random.uniform(*ROUND_M))
-        return places[enough[0] if len(enough) else int(np.argmax(room))]
+        # Of places that are as tight, the one that is reached first.
+        return places[enough[0] if len(enough) else int(np.argmax(room + 0.05 * places[:, 0]))]
