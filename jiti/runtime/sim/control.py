@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import mujoco
 import numpy as np
 
 
@@ -19,7 +18,11 @@ class ArmControl:
     What it reads must be up to date in MuJoCo's data: after `mj_step1`, or `mj_forward`.
     """
 
-    def __init__(self, env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __init__(self, env: Any, model: Any, data: Any) -> None:
+        """`model` and `data` are MuJoCo's own, inside of robosuite's wrappers."""
+        import mujoco
+
+        self._mujoco: Any = mujoco
         self._env, self._model, self._data = env, model, data
         (self._robot,) = env.robots
         self._controller: Any = self._robot.controller
@@ -62,13 +65,13 @@ class ArmControl:
             return
         to.ee_pos = data.site_xpos[self._site].copy()
         to.ee_ori_mat = data.site_xmat[self._site].reshape(3, 3).copy()
-        mujoco.mj_jacSite(self._model, data, self._jac_pos, self._jac_ori, self._site)
+        self._mujoco.mj_jacSite(self._model, data, self._jac_pos, self._jac_ori, self._site)
         to.ee_pos_vel, to.ee_ori_vel = self._jac_pos @ data.qvel, self._jac_ori @ data.qvel
         to.joint_pos, to.joint_vel = data.qpos[self._qpos], data.qvel[self._qvel]
         # The order in memory of what indexing gives is not that of rows, which the controller's compiled code expects.
         to.J_pos = np.array(self._jac_pos[:, self._qvel])
         to.J_ori = np.array(self._jac_ori[:, self._qvel])
         to.J_full = np.concatenate([to.J_pos, to.J_ori])
-        mujoco.mj_fullM(self._model, self._mass, data.qM)
+        self._mujoco.mj_fullM(self._model, self._mass, data.qM)
         to.mass_matrix = self._mass[self._qvel, :][:, self._qvel]
         to.new_update = False

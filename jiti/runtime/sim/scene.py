@@ -11,6 +11,7 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 
 from jiti.errors import UsageError
+from jiti.runtime.sim.control import ArmControl
 from jiti.runtime.sim.engine import global_seed
 from jiti.runtime.sim.gl import Graphics
 from jiti.runtime.sim.libero import bddl_file, has_initial_states, import_libero, initial_states
@@ -76,10 +77,7 @@ class Scene:
         import mujoco
         import robosuite
 
-        from jiti.runtime.sim.control import ArmControl
-
         self._mujoco: Any = mujoco
-        self._arm_control = ArmControl
         self.task = task
         self._file = bddl_file(task.bddl)
         self._size = picture_size
@@ -240,7 +238,7 @@ class Scene:
         model, data = self._env.sim.model._model, self._env.sim.data._data
         if not hasattr(self, "world"):
             self.world = World(model, data, self._names())
-        self._control = self._arm_control(self._env, model, data)
+        self._control = ArmControl(self._env, model, data)
         # A soft reset leaves the fingers' last command where it was.
         self._env.robots[0].gripper.current_action = np.zeros(self._env.robots[0].gripper.dof)
 

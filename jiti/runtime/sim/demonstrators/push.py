@@ -31,6 +31,8 @@ BACK_M = 0.08
 """How far from the end it begins to swing back."""
 BACK_SPEED = 0.2
 """Greatest length of an action towards the robot: the arm is nearly straight, and a quick pull lifts the hand."""
+CARROT_M = 0.03
+"""How far ahead on its line the plate is sent at any time."""
 LEAST_M = 0.010
 """Of the way asked for at once: less does not overcome the friction of plate and joints."""
 TIP_M = 0.046
@@ -39,12 +41,14 @@ ROUND_M = (0.009, 0.018)
 """How far the careful keep the plate from what they go around."""
 CUT_M = (0.011, 0.024)
 """By how much the careless run it over what stands there, which may move by 5 mm; with more it rides up on that."""
+OVER_M = 0.012
+"""How far the plate goes beyond its corner: it is dragged back as the finger is set anew."""
 INSIDE_M = 0.004
 """How far inside the region the plate's origin must come to lie; sliding ends 3 mm from where it should."""
 TRIES = 3
 """Times that the finger is set into the plate; where it slips, the plate is left short of its end."""
 VIA_M, END_M = 0.012, 0.003
-"""How near to a point on the way, and to its end, the plate must come."""
+"""How far short of where it passes, and of the corner and the end of its way, the plate may be left."""
 
 
 class PushPlate(Demonstrator):
@@ -54,13 +58,14 @@ class PushPlate(Demonstrator):
         self.plate, self.region = self.scene.interest
         low, high = self.world.extent(self.plate)
         self.radius = float((high - low)[:2].max()) / 2
-        *vias, end = self._way()
+        beside, *_ = *vias, end = self._way()
         speed = self.temper.speed * self.random.uniform(0.35, 0.55)
         for _ in range(TRIES):
             yield from self._enter(self._ahead((*vias, end)[0])[0])
-            for via in vias:
-                yield from self._slide(via, VIA_M, speed)
-            yield from self._slide(end, END_M, speed)
+            start = self.world.position(self.plate)[:2]
+            for place in (*vias, end):
+                yield from self._slide(start, place, VIA_M if place is beside else END_M, speed)
+                start = place
             yield from self.wait(int(self.random.integers(1, 5)), OPEN)
             yield from self.go(self.eef + [0, 0, self.random.uniform(0.09, 0.14)], OPEN, steady=True)
             if self.scene.holds("On", self.plate, self.region):
@@ -89,15 +94,19 @@ class PushPlate(Demonstrator):
         tip[2] = self.world.lowest_m(LEFT)
         return tip
 
-    def _slide(self, place: np.ndarray, near_m: float, speed: float) -> Iterator[np.ndarray]:
-        """Push the plate straight to a place (2,) m."""
-        before, self.ahead = self.ahead, self._ahead(place)[0]
+    def _slide(self, start: np.ndarray, place: np.ndarray, near_m: float, speed: float) -> Iterator[np.ndarray]:
+        """Push the plate along the line from a start to a place, (2,) m each, and back to that line where it strays."""
+        length_m = float(np.linalg.norm(place - start))
+        line = (place - start) / max(length_m, 1e-9)
+        before, self.ahead = self.ahead, line
         if before @ self.ahead < np.cos(TURN_RAD):
             yield from self._set_anew(self.ahead)
         for _ in range(160):
-            self.ahead, left_m = self._ahead(place)
+            along_m = float((self.world.position(self.plate)[:2] - start) @ line)
+            left_m = length_m - along_m
             if left_m < near_m:
                 return
+            self.ahead = self._ahead(start + line * min(along_m + CARROT_M, length_m))[0]
             if self.world.position(self.plate)[1] > self.passed_m:
                 self.swing_to_rad = LAST_RAD if self.ahead[0] < -0.5 and left_m < BACK_M else CORNER_RAD
             offset = self._offset()
@@ -154,7 +163,7 @@ class PushPlate(Demonstrator):
         apart = self.random.uniform(*ROUND_M) if self.careful else -self.random.uniform(*CUT_M)
         beside = high[0] + self.radius + apart
         self.passed_m = high[1] - 0.02
-        return [np.array([beside, low[1]]), np.array([beside, end[1]]), end]
+        return [np.array([beside, low[1]]), np.array([beside, end[1] + OVER_M]), end]
 
     def _obstacle(self) -> str:
         """What the plate would come nearest to on the straight way."""
