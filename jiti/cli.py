@@ -23,6 +23,21 @@ class ProposalSource(StrEnum):
     signal = "signal"
 
 
+class Stage(StrEnum):
+    """What a model is asked."""
+
+    itcs = "itcs"
+    segments = "segments"
+    verdicts = "verdicts"
+
+
+class Engine(StrEnum):
+    """Where episodes are worked on."""
+
+    local = "local"
+    ray = "ray"
+
+
 class Start(StrEnum):
     """Where episodes in simulation begin."""
 
@@ -58,6 +73,9 @@ Port = Annotated[
 ]
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
+
+QUIET_S = 20.0
+"""Longest time without a word where there is no terminal to show a bar on."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -203,35 +221,101 @@ def check(assets: Assets = None, tasks: Tasks = None, as_json: Json = False) -> 
 @app.command(short_help="Propose segments for a person to review.")
 def autolabel(
     source: Source = None,
+    vlm: Annotated[bool, typer.Option("--vlm", help="Ask a vision-language model: segments, then verdicts.")] = False,
     by: Annotated[
         ProposalSource | None,
         typer.Option(
             "--from",
-            help="Who proposes: the simulator's trace (sim) or the recording's own numbers (signal). "
+            help="Without a model: the simulator's trace (sim) or the recording's own numbers (signal). "
             "Default: the simulator, where it recorded.",
         ),
     ] = None,
+    vlm_url: Annotated[
+        str | None,
+        typer.Option(
+            "--vlm-url", help="OpenAI-compatible server. Default: $JITI_VLM_URL, else vLLM's on this machine."
+        ),
+    ] = None,
+    vlm_model: Annotated[
+        str | None,
+        typer.Option(
+            "--vlm-model", help="Model of the server; without one, a folder or Hub id to run in this process."
+        ),
+    ] = None,
+    stage: Annotated[
+        Stage | None, typer.Option("--stage", help="One stage of --vlm alone. Default: segments, then verdicts.")
+    ] = None,
+    libero: Annotated[
+        bool, typer.Option("--libero", help="With --stage itcs: for all of LIBERO's tasks, from their instructions.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Task file of --stage itcs. Default: tasks.proposed.toml there.")
+    ] = None,
+    cameras: Annotated[
+        list[str] | None, typer.Option("--camera", help="A camera to show; may be repeated. Default: all.")
+    ] = None,
+    samples: Annotated[int, typer.Option("--samples", min=1, max=50, help="Answers for each verdict.")] = 3,
+    fuse: Annotated[
+        bool, typer.Option("--fuse/--no-fuse", help="Let recorded poses decide verdicts where they can.")
+    ] = True,
+    concurrency: Annotated[int, typer.Option("--concurrency", min=1, help="Requests to the server at once.")] = 8,
+    timeout_s: Annotated[float, typer.Option("--vlm-timeout", min=1, help="Seconds for one request.")] = 120.0,
+    prices: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--prices", metavar="IN OUT", help="Price of a million tokens read and written, to add up cost."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say how many requests, pictures and tokens it would take; ask nothing.")
+    ] = False,
+    evaluate: Annotated[
+        str | None,
+        typer.Option("--evaluate", metavar="REFERENCE", help="Compare proposals with a person's labels, or with sim."),
+    ] = None,
+    engine: Annotated[Engine, typer.Option("--engine", help="Threads here, or Ray.")] = Engine.local,
+    ray_address: Annotated[
+        str | None, typer.Option("--ray-address", help="A running Ray cluster. Default: one of this machine.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Episodes at once.")] = None,
     labels: Labels = None,
     tasks: Tasks = None,
     as_json: Json = False,
 ) -> None:
     """Propose a segment for every constraint of every episode. What people decided stays.
 
-    Example: jiti autolabel demos --from sim
+    Example: jiti autolabel demos --vlm --vlm-url http://127.0.0.1:8000/v1
     """
-    from jiti.annotate.autolabel import autolabel as propose
-    from jiti.annotate.autolabel import best_source
+    from jiti.annotate import command
+    from jiti.annotate.vlm.choose import Wish
     from jiti.annotate.web.session import open_session
 
-    session = open_session(source, annotator=None, labels=labels, tasks=tasks)
+    if vlm and by:
+        raise UsageError("--vlm and --from name two who propose: pass one of them.")
+    if libero and stage != Stage.itcs:
+        raise UsageError("--libero is of --vlm --stage itcs.")
+    wish = Wish(vlm_url, vlm_model, tuple(cameras or ()), samples, fuse, concurrency, timeout_s)
+    request = command.Request(
+        "vlm" if vlm else by.value if by else None,
+        wish,
+        stage.value if stage else None,
+        out,
+        engine=engine.value,
+        workers=workers,
+        address=ray_address,
+        prices=prices,
+    )
     with _progress("Proposing") as progress:
-        done = propose(
-            session.reader,
-            session.catalogue,
-            session.store.labels_dir,
-            source=by.value if by else best_source(session.reader),
-            progress=progress,
-        )
+        if libero:
+            from jiti.runtime.sim.libero import instructions
+
+            done = command.discover_libero(request, instructions(), labels or Path("labels"), progress)
+        else:
+            session = open_session(source, annotator=None, labels=labels, tasks=tasks)
+            if evaluate:
+                done = command.evaluate_request(request, session, evaluate)
+            elif dry_run:
+                done = command.estimate_request(request, session, progress)
+            else:
+                done = command.run_request(request, session, progress)
     print(done.to_json() if as_json else done)
 
 
@@ -304,14 +388,26 @@ def demo(
 
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
-    """A progress bar on a terminal, nothing elsewhere; called with the share that is done and what is being done."""
+    """A bar on a terminal, a line every `QUIET_S` elsewhere; called with the share done and what is being done."""
+    from time import monotonic
+
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
+    said = monotonic()
+
+    def tell(share: float, now: str) -> None:
+        nonlocal said
+        if console.is_terminal:
+            bar.update(task, completed=share, description=now)
+        elif monotonic() - said > QUIET_S:
+            said = monotonic()
+            print(f"{what}: {share:.0%}, {now}", file=sys.stderr)
+
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda share, now: bar.update(task, completed=share, description=now)
+        yield tell
 
 
 def _say_session(session: "Session") -> None:

@@ -165,8 +165,8 @@ def compare(segments: pa.Table, frame_counts: Mapping[str, int], a: str, b: str)
     names = sorted(set(segments["annotator"].to_pylist()))
     if missing := [name for name in (a, b) if name not in names]:
         raise LabelError(f"{missing[0]!r} has no labels here; there are labels by: {', '.join(names) or 'no one'}")
-    lanes_a, worked_a = _lanes(segments, a)
-    lanes_b, worked_b = _lanes(segments, b)
+    lanes_a, worked_a = lanes_of(segments, a)
+    lanes_b, worked_b = lanes_of(segments, b)
     both = worked_a & worked_b
     lanes: list[Lane] = []
     frames: dict[str, np.ndarray] = defaultdict(lambda: np.zeros((3, 3), np.int64))
@@ -203,7 +203,7 @@ def cohens_kappa(counts: np.ndarray) -> float | None:
     return None if expected == 1 else float((observed - expected) / (1 - expected))
 
 
-def _lanes(segments: pa.Table, annotator: str) -> tuple[dict[tuple[str, str], list[Segment]], set[str]]:
+def lanes_of(segments: pa.Table, annotator: str) -> tuple[dict[tuple[str, str], list[Segment]], set[str]]:
     """What counts of an annotator by episode and ITC, and the episodes that they have worked on."""
     own = segments.filter(pa.array(segments["annotator"].to_numpy() == annotator))
     counted = "proposed" if annotator in MACHINES else "accepted"

@@ -1,13 +1,15 @@
-"""Proposals from a recording's own numbers: where each constraint is probably decided, with no word on how.
+"""Proposals from a recording's own numbers: where each constraint is probably decided.
 
-The place follows from the Elegance Criterion and from when the gripper closed and opened. Whether the constraint was
-met needs eyes, so the verdict is left to the reviewer.
+Where recorded poses decide a constraint (`jiti.annotate.measured`), it is there, and with `fuse` the verdict is theirs.
+Elsewhere the place follows from the Elegance Criterion and from when the gripper closed and opened; whether the
+constraint was met then needs eyes, so the verdict is left to the reviewer.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from jiti.annotate.events import Event, EventKind, Events, find_events
+from jiti.annotate.measured import MEASURED_CONFIDENCE, Measured
 from jiti.annotate.segments import DEFAULT_WINDOW_FRAMES, Segment
 from jiti.annotate.window import proposed_window
 from jiti.episodes.episode import Episode
@@ -36,16 +38,34 @@ class _Hold:
         return self.open or self.close
 
 
-def propose_segments(episode: Episode, task: Task, events: Events | None = None) -> list[Segment]:
+def propose_segments(
+    episode: Episode,
+    task: Task,
+    events: Events | None = None,
+    *,
+    measured: Mapping[str, Measured | None] | None = None,
+    fuse: bool = True,
+) -> list[Segment]:
     """A window of `DEFAULT_WINDOW_FRAMES` for every constraint of a task and every time that something was held.
 
-    Without any gripper transition, one window for each constraint ends where the motion ends; without any event there
-    is no proposal. All have status `proposed`, source `signal`, no verdict, and say in a sentence why they are there.
+    `measured` has what recorded poses decided, by ITC; of that there is one window, with the verdict where `fuse` is
+    set. Without any gripper transition, one window for each other constraint ends where the motion ends; without any
+    event there is no proposal. All have status `proposed`, source `signal`, and say in a sentence why they are there.
     """
     events = find_events(episode) if events is None else events
     holds = _holds(events)
     proposals = []
     for itc in task.itcs:
+        if (known := (measured or {}).get(itc.itc_id)) is not None:
+            verdict = (
+                {"reward": int(known.satisfied), "rationale": known.reason}
+                if fuse
+                else {"rationale": f"Recorded poses settle it at frame {known.frame}."}
+            )
+            proposals.append(
+                proposed_window(episode, itc, known.frame, source="signal", confidence=MEASURED_CONFIDENCE, **verdict)
+            )
+            continue
         places = [_place(itc.criterion, hold, events) for hold in holds] or [_place_without_gripper(events)]
         for place in places:
             if place is not None:

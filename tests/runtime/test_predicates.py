@@ -9,10 +9,10 @@ import pytest
 from jiti.errors import UsageError
 from jiti.runtime.sim.monitor import Monitor
 from jiti.runtime.sim.predicates import LIBEROS, PREDICATES, bind
-from jiti.runtime.sim.rotation import about
 from jiti.runtime.sim.scene import REST, Scene
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.goal import Atom
+from jiti.tasks.rotation import about
 
 pytestmark = pytest.mark.sim
 mujoco = pytest.importorskip("mujoco")

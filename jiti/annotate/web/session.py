@@ -38,6 +38,10 @@ class Session:
     store: LabelStore
     catalogue: Catalogue
     annotator: str
+    source: str = ""
+    """What `reader` was opened from, for processes that open it themselves."""
+    task_files: tuple[Path, ...] = ()
+    """A user's, in `catalogue`."""
     viewer_bytes: int = VIEWER_BYTES
     lock: threading.RLock = field(default_factory=threading.RLock)
     _episodes: OrderedDict[str, Episode] = field(default_factory=OrderedDict)
@@ -108,6 +112,8 @@ def open_session(
         store=LabelStore(labels or Path(reader.labels_dir)),
         catalogue=load_catalogue(*files),
         annotator=check_annotator(annotator) if annotator else default_annotator(),
+        source=_absolute(source),
+        task_files=tuple(files),
     )
     refs = session.refs()
     readable = [ref for ref in refs if ref.problem is None]
@@ -116,3 +122,9 @@ def open_session(
     if len(refs) == 1:
         session.episode(refs[0].episode_id)  # a file alone is refused at once, and not in the page
     return session
+
+
+def _absolute(source: str | None) -> str:
+    """A path from the root, as other processes may have another folder; a Hub id stays as it is."""
+    path = Path.cwd() if source is None else Path(source).expanduser()
+    return str(path.absolute()) if source is None or path.exists() else source

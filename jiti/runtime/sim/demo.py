@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jiti.annotate.autolabel import Autolabelled, autolabel
+from jiti.annotate.proposer import Proposer
 from jiti.episodes.episode import Episode
 from jiti.episodes.reader import open_reader
 from jiti.errors import LabelError, SourceError
@@ -54,7 +55,7 @@ def demo(
     recorded = record(plan, folder, episodes=episodes, progress=progress)
     reader = open_reader(folder)
     _check(recorded, {ref.title: reader.open(ref.episode_id) for ref in reader.episodes()})
-    labelled = autolabel(reader, catalogue, Path(reader.labels_dir), source="sim")
+    labelled = autolabel(reader, Proposer(str(folder.absolute()), Path(reader.labels_dir).absolute(), by="sim"))
     if labelled.proposals < len(recorded):
         raise LabelError(f"{len(recorded)} episodes were recorded, but {labelled.labels_dir} holds fewer proposals")
     return DemoSummary(folder, tuple(recorded), labelled)

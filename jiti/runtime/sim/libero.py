@@ -11,6 +11,7 @@ import importlib.util
 import io
 import os
 import pickle
+import re
 import shutil
 import sys
 import tempfile
@@ -75,6 +76,17 @@ def pack_folder(assets: Path | str | None) -> Path | None:
 def bddl_file(name: str) -> Path:
     """LIBERO's problem file of a task, by `suite/name`. Raises UsageError when it is not installed."""
     return _shipped("bddl_files", f"{name}.bddl")
+
+
+def instructions() -> list[tuple[str, str]]:
+    """`suite/name` and instruction of every task of LIBERO, by name. Raises UsageError when it is not installed."""
+    folder = _package_folder() / "bddl_files"
+    found = []
+    for path in sorted(folder.glob("libero_*/*.bddl")):
+        said = re.search(r"\(:language\s+([^)]*)\)", path.read_text(encoding="utf-8"))
+        if said:
+            found.append((f"{path.parent.name}/{path.stem}", " ".join(said[1].split())))
+    return found
 
 
 def has_initial_states(name: str) -> bool:

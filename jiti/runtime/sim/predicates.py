@@ -11,10 +11,11 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from jiti.errors import UsageError
-from jiti.runtime.sim.rotation import angle_between, angle_to_box, rotation_vector
 from jiti.runtime.sim.scene import Scene
 from jiti.runtime.sim.world import LEFT, RIGHT
 from jiti.tasks.goal import Atom
+from jiti.tasks.rotation import angle_between, angle_to_box, rotation_vector
+from jiti.tasks.tolerance import ARM_M, TILT_RAD, TOLERANCE
 
 
 class Predicate(Protocol):
@@ -73,7 +74,7 @@ class IsGrasping(_Within):
     """
 
     measure = "open_fingers"
-    default = 0.0
+    default = TOLERANCE["IsGrasping"]
 
     def look(self) -> float:
         (thing,) = self.arguments
@@ -93,7 +94,7 @@ class IsOnBottomOf(_Within):
 
     arity = 2
     measure = "clearance_m"
-    default = 0.020
+    default = TOLERANCE["IsOnBottomOf"]
 
     def look(self) -> float:
         thing, support = self.arguments
@@ -118,8 +119,7 @@ class IsPreciselyOn(_Within):
 
     arity = 2
     measure = "offset_m"
-    default = 0.010
-    TILT_RAD = 0.1
+    default = TOLERANCE["IsPreciselyOn"]
 
     def begin(self) -> None:
         self._up = self.world.rotation(self.arguments[0])[2]  # the world's z in the object's axes
@@ -127,7 +127,7 @@ class IsPreciselyOn(_Within):
     def look(self) -> float:
         thing, target = self.arguments
         tilt = angle_between(self.world.rotation(thing) @ self._up, np.array([0.0, 0.0, 1.0]))
-        if tilt > self.TILT_RAD or not self.world.touching(thing, target):
+        if tilt > TILT_RAD or not self.world.touching(thing, target):
             return float("inf")
         return float(np.linalg.norm((self.world.position(thing) - self.world.position(target))[:2]))
 
@@ -143,7 +143,7 @@ class IsOrientationAligned(_Within):
 
     arity = 2
     measure = "turned_rad"
-    default = 0.10
+    default = TOLERANCE["IsOrientationAligned"]
 
     def look(self) -> float:
         thing, region = self.arguments
@@ -159,8 +159,7 @@ class PositionUnchanged(_Within):
     """
 
     measure = "moved_m"
-    default = 0.005
-    ARM_M = 0.05
+    default = TOLERANCE["PositionUnchanged"]
 
     def begin(self) -> None:
         self._at, self._turn = self.world.position(self.arguments[0]), self.world.rotation(self.arguments[0])
@@ -169,7 +168,7 @@ class PositionUnchanged(_Within):
         (thing,) = self.arguments
         moved = np.linalg.norm(self.world.position(thing) - self._at)
         turned = np.linalg.norm(rotation_vector(self._turn, self.world.rotation(thing)))
-        return float(moved + self.ARM_M * turned)
+        return float(moved + ARM_M * turned)
 
 
 class MovesGently(_Within):
@@ -183,7 +182,7 @@ class MovesGently(_Within):
     """
 
     measure = "speed"
-    default = 0.10
+    default = TOLERANCE["MovesGently"]
 
     def begin(self) -> None:
         if not len(self.world.joint_speeds(self.arguments[0])):

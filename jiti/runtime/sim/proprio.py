@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jiti.runtime.sim.rotation import quaternion_xyzw
 from jiti.runtime.sim.scene import Scene
+from jiti.tasks.rotation import quaternion_xyzw
 
 PROPRIO_NAMES = ("x", "y", "z", "rx", "ry", "rz", "finger_1", "finger_2")
 """Point between the fingertips in m, rotation of the hand as axis times angle in rad, fingers in m; world frame."""

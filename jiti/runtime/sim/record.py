@@ -13,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from typing import Any
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
+from jiti.annotate.engine import cores
 from jiti.durable import make_folder
 from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.errors import UsageError
@@ -144,7 +146,7 @@ def record(
         missing = [number for number in range(episodes) if number not in kept]
         _remove_leftovers(folder, paths)
         report(0.0, graphics.message if plan.cameras else "recording without cameras")
-        workers = min(workers or _cores(), max(1, len(missing)))
+        workers = min(workers or cores(), max(1, len(missing)))
         if workers == 1:
             _record_here(plan, folder, missing, graphics, report)
         else:
@@ -178,11 +180,6 @@ def _ignoring_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _record_here(plan: Plan, folder: Path, numbers: Sequence[int], graphics: Graphics, report: Progress) -> None:
@@ -223,7 +220,7 @@ def _record_apart(
             raise
 
 
-def _end_soon(workers: Sequence[multiprocessing.process.BaseProcess]) -> None:
+def _end_soon(workers: Sequence[BaseProcess]) -> None:
     """Give each worker a moment to take its unfinished file away, and end those that build a scene meanwhile."""
     end = time.monotonic() + GRACE_S
     for worker in workers:

@@ -13,11 +13,11 @@ from jiti.runtime.sim.episode import run_episode
 from jiti.runtime.sim.monitor import Monitor, Outcome
 from jiti.runtime.sim.pictures import jpeg
 from jiti.runtime.sim.proprio import PROPRIO_NAMES, proprio
-from jiti.runtime.sim.rotation import quaternion_xyzw
 from jiti.runtime.sim.scene import ACTION_NAMES, ARM_JOINTS, CONTROL_HZ, FINGER_JOINTS, Scene, Start
 from jiti.runtime.sim.world import GRIPPER
 from jiti.tasks.goal import atoms, parse_goal
 from jiti.tasks.judge import MEASURES, PREDICATES
+from jiti.tasks.rotation import quaternion_xyzw
 
 START_NS = 1_735_689_600_000_000_000
 """Log time of the first frame: 2025-01-01, 00:00 UTC. Fixed, so that one seed always gives the same messages."""

@@ -166,14 +166,13 @@ class World:
     def _boxes_apart_m(self, first: int, second: int) -> float:
         """Between the boxes around two shapes, by projecting a point from one to the other in turn (von Neumann)."""
         place = self.data.geom_xpos[second]
-        last_m = np.inf
+        apart_m = np.inf
         for _ in range(_PROJECTIONS):
             on_first = self._nearest_in_box(first, place)
             place = self._nearest_in_box(second, on_first)
-            apart_m = float(np.linalg.norm(place - on_first))
+            last_m, apart_m = apart_m, float(np.linalg.norm(place - on_first))
             if last_m - apart_m < _SAME_M:
                 break
-            last_m = apart_m
         return apart_m
 
     def _nearest_in_box(self, geom: int, place: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ import numpy as np
 
 from jiti.runtime.sim.demonstrators.grasp import half_turn
 from jiti.runtime.sim.demonstrators.motion import CLOSE, OPEN, Demonstrator
-from jiti.runtime.sim.rotation import hand_down, rotation_vector
 from jiti.runtime.sim.scene import Scene
 from jiti.runtime.sim.world import LEFT, RIGHT
+from jiti.tasks.rotation import hand_down, rotation_vector
 
 UP = np.array([0.0, 0.0, 1.0])
 ATTEMPTS = 3

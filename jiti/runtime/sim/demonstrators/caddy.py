@@ -6,7 +6,7 @@ import numpy as np
 
 from jiti.runtime.sim.demonstrators.book import UP, BookCarrier
 from jiti.runtime.sim.demonstrators.grasp import HAND_M, PALM_M, TIP_M
-from jiti.runtime.sim.rotation import about
+from jiti.tasks.rotation import about
 
 TURNED_RAD = (0.18, 0.34)
 """How far a book is turned about the vertical without care. IsOrientationAligned bears 0.10 rad."""

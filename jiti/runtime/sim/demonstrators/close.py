@@ -6,9 +6,9 @@ import numpy as np
 
 from jiti.errors import UsageError
 from jiti.runtime.sim.demonstrators.motion import CLOSE, Demonstrator
-from jiti.runtime.sim.rotation import hand_down
 from jiti.runtime.sim.scene import Scene
 from jiti.tasks.goal import atoms, parse_goal
+from jiti.tasks.rotation import hand_down
 
 TILT_RAD = 0.6
 """How far the hand leans back from the vertical, so that it does not meet the handles above. Our choice."""

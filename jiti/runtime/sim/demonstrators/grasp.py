@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from jiti.runtime.sim.rotation import hand_down
 from jiti.runtime.sim.world import World
+from jiti.tasks.rotation import hand_down
 
 PALM_M, TIP_M = 0.031, 0.009
 """How far the palm lies over the point between the fingertips, and the tips below it. These are the collision shapes

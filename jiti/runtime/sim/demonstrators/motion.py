@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jiti.runtime.sim.rotation import rotation_vector
 from jiti.runtime.sim.scene import STEP_M, STEP_RAD, Scene
+from jiti.tasks.rotation import rotation_vector
 
 OPEN, CLOSE = -1.0, 1.0
 """Values of an action's gripper."""

@@ -6,9 +6,9 @@ import numpy as np
 
 from jiti.runtime.sim.demonstrators.grasp import HAND_M, PALM_M, TIP_M, choose_grasp, half_turn
 from jiti.runtime.sim.demonstrators.motion import CLOSE, OPEN, Demonstrator
-from jiti.runtime.sim.rotation import hand_down
 from jiti.runtime.sim.scene import Scene
 from jiti.runtime.sim.world import LEFT, RIGHT
+from jiti.tasks.rotation import hand_down
 
 ATTEMPTS = 3
 """Times that a thing is reached for. Our choice."""

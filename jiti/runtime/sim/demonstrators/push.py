@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from jiti.runtime.sim.demonstrators.motion import OPEN, Demonstrator
-from jiti.runtime.sim.rotation import hand_down
 from jiti.runtime.sim.scene import STEP_M
 from jiti.runtime.sim.world import LEFT
+from jiti.tasks.rotation import hand_down
 
 PRESS_M = 0.003
 """How far below the plate's floor the fingertip wants to be: a newton at most. With none the finger tips the plate,

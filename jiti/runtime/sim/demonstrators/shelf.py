@@ -6,8 +6,8 @@ import numpy as np
 
 from jiti.runtime.sim.demonstrators.book import UP, BookCarrier
 from jiti.runtime.sim.demonstrators.motion import CLOSE, OPEN
-from jiti.runtime.sim.rotation import about
 from jiti.runtime.sim.world import LEFT, RIGHT
+from jiti.tasks.rotation import about
 
 TILT_RAD = 1.3
 """From upright to how the book goes in, lower end first. Our choice: from the side nothing of the hand but the fingers

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from jiti.runtime.sim.demonstrators.motion import CLOSE, OPEN, Demonstrator
-from jiti.runtime.sim.rotation import hand_down
 from jiti.runtime.sim.world import LEFT, RIGHT
+from jiti.tasks.rotation import hand_down
 
 KNOB_RAD = (0.6, 0.8)
 """How far the knob is pushed; LIBERO calls the stove on from 0.5, and the knob is heavy and turns on by itself."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jiti.runtime.sim.rotation import about, angle_between, angle_to_box, hand_down, quaternion_xyzw, rotation_vector
+from jiti.tasks.rotation import about, angle_between, angle_to_box, hand_down, quaternion_xyzw, rotation_vector
 
 AXIS = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
 

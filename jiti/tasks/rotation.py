@@ -48,6 +48,23 @@ def quaternion_xyzw(pose: np.ndarray) -> np.ndarray:
     return quaternion if quaternion[3] >= 0 else -quaternion
 
 
+def matrices(quaternions_xyzw: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) of quaternions (n, 4) of any length but 0."""
+    x, y, z, w = (quaternions_xyzw / np.linalg.norm(quaternions_xyzw, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def turned_rad(rotations: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """(n,) rad, 0 to pi: how far each rotation (n, 3, 3) is turned from one (3, 3)."""
+    cosine = (np.einsum("nij,ij->n", rotations, start) - 1) / 2
+    return np.arccos(np.clip(cosine, -1, 1))
+
+
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     """Angle in rad, 0 to pi, between two directions (3,)."""
     return float(np.arctan2(np.linalg.norm(np.cross(one, other)), np.dot(one, other)))

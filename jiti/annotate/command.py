@@ -1,0 +1,135 @@
+"""`jiti autolabel`, whole: from what a user asked for to what is printed. Every result has a text and `to_json`."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from jiti.annotate.autolabel import Autolabelled, autolabel, best_source
+from jiti.annotate.engine import Engine
+from jiti.annotate.evaluate import Evaluation, evaluate, save
+from jiti.annotate.proposer import ProposalSource, Proposer
+from jiti.annotate.vlm.ask import Asker
+from jiti.annotate.vlm.cache import AnswerCache
+from jiti.annotate.vlm.choose import Wish, choose
+from jiti.annotate.vlm.discover import PROPOSED_FILE, Discovered, Unknown, discover, tasks_in
+from jiti.annotate.vlm.estimate import Estimate, estimate
+from jiti.annotate.vlm.propose import Stage
+from jiti.annotate.vlm.settings import Settings
+from jiti.annotate.web.session import Session
+from jiti.errors import UsageError
+from jiti.tasks.catalogue_file import read_tasks
+
+Part = Literal["itcs", "segments", "verdicts"]
+"""A stage of the model, alone."""
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a user asked for."""
+
+    by: ProposalSource | None = None
+    """None for the best without a model."""
+    wish: Wish = field(default_factory=Wish)
+    part: Part | None = None
+    """None for segments and verdicts."""
+    out: Path | None = None
+    """Task file of stage one."""
+    engine: Engine = "local"
+    workers: int | None = None
+    address: str | None = None
+    prices: tuple[float, float] | None = None
+    """Of a million tokens read and written."""
+
+
+def run_request(request: Request, session: Session, progress: Progress) -> Autolabelled | Discovered:
+    """Do it. Raises UsageError for what does not fit together or is not there."""
+    if request.by != "vlm":
+        if request.part:
+            raise UsageError("--stage is of --vlm; add --vlm, or leave it out.")
+        return _autolabel(request, session, None, progress)
+    settings = choose(request.wish)
+    if request.part == "itcs":
+        labels_dir = session.store.labels_dir
+        unknown, asker = tasks_in(session.reader), _asker(settings, labels_dir)
+        path, reader = _task_file(request, labels_dir), session.reader
+        return discover(asker, unknown, path, reader=reader, cameras=settings.cameras, progress=progress)
+    done = _autolabel(request, session, settings, progress)
+    return replace(done, cost=done.usage.cost(request.prices)) if request.prices else done
+
+
+def discover_libero(
+    request: Request, instructions: Sequence[tuple[str, str]], labels_dir: Path, progress: Progress
+) -> Discovered:
+    """Stage one for tasks of which there is no video: `suite/name` of a BDDL file and its instruction."""
+    if request.by != "vlm":
+        raise UsageError("--libero is of --vlm --stage itcs.")
+    unknown = [Unknown(f"proposed/{bddl}", instruction, bddl) for bddl, instruction in instructions]
+    asker = _asker(choose(request.wish), labels_dir)
+    return discover(asker, unknown, _task_file(request, labels_dir), progress=progress)
+
+
+def estimate_request(request: Request, session: Session, progress: Progress) -> Estimate:
+    """What it would cost. Raises UsageError where a model is not asked for."""
+    if request.by != "vlm" or request.part == "itcs":
+        raise UsageError("--dry-run is of --vlm and its stages segments and verdicts; the rest costs nothing to try.")
+    settings = choose(request.wish, asked=False)
+    found = estimate(session.reader, session.catalogue, _proposer(request, session, settings), progress)
+    return replace(found, prices=request.prices)
+
+
+def evaluate_request(request: Request, session: Session, reference: str) -> Evaluation:
+    """Compare what was proposed with a reference, and write figures and plot beside the labels."""
+    labels_dir = session.store.labels_dir
+    evaluation = evaluate(labels_dir, request.by or "signal", reference)
+    return save(replace(evaluation, discovered=_kept(request, session)), labels_dir / "evaluation")
+
+
+def _autolabel(request: Request, session: Session, settings: Settings | None, progress: Progress) -> Autolabelled:
+    workers = request.workers
+    if settings and not workers and request.engine == "local":
+        # A model that is here takes one question at a time; a server takes as many episodes as requests.
+        workers = settings.concurrency if settings.url else 1
+    proposer = _proposer(request, session, settings)
+    return autolabel(
+        session.reader,
+        proposer,
+        engine=request.engine,
+        workers=workers,
+        address=request.address,
+        progress=progress,
+    )
+
+
+def _proposer(request: Request, session: Session, settings: Settings | None) -> Proposer:
+    stages: tuple[Stage, ...] = ("segments", "verdicts")
+    if request.part == "segments" or request.part == "verdicts":
+        stages = (request.part,)
+    return Proposer(
+        session.source,
+        session.store.labels_dir.absolute(),
+        tuple(path.absolute() for path in session.task_files),
+        request.by or best_source(session.reader),
+        request.wish.fuse,
+        stages,
+        settings,
+    )
+
+
+def _asker(settings: Settings, labels_dir: Path) -> Asker:
+    return Asker(settings.backend(), AnswerCache(labels_dir / "vlm" / "answers"))
+
+
+def _task_file(request: Request, labels_dir: Path) -> Path:
+    return request.out or labels_dir.absolute().parent / PROPOSED_FILE
+
+
+def _kept(request: Request, session: Session) -> tuple[int, int] | None:
+    """ITCs of the proposed file that are in the reviewed ones too, and all of them; None where there is none."""
+    proposed = _task_file(request, session.store.labels_dir)
+    if not proposed.is_file() or not session.task_files:
+        return None
+    before = {itc.itc_id for one in read_tasks(proposed) for itc in one.task.itcs}
+    after = {itc.itc_id for path in session.task_files for one in read_tasks(path) for itc in one.task.itcs}
+    return len(before & after), len(before)
