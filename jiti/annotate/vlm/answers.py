@@ -7,6 +7,7 @@ raises `BadAnswer`, whose text is what the model is told when it is asked once m
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,13 +17,15 @@ MOST_CONSTRAINTS = 4
 """ITCs of one task. Our choice: the paper's tasks have one each, its 273 inferred ITCs are one each for 273 tasks."""
 MOST_SPANS = 3
 """Segments of one ITC in one episode. Our choice: tasks with two grasps have two, a slip adds one."""
-MOST_TEXT = 400
+MOST_TEXT = 240
 """Characters of a rationale, which is shown beside a video."""
 MOST_STATEMENT = 240
+_REPEATS = 120
 VERDICTS = ("satisfied", "violated")
 
-_FENCE = re.compile(r"^\s*(?:<think>.*?</think>\s*)?```(?:json)?\s*(.*?)\s*```\s*$", re.DOTALL)
-_THOUGHT = re.compile(r"^\s*<think>.*?</think>", re.DOTALL)
+_BEFORE = re.compile(r"^\s*(?:<\|im_start\|>assistant\s*)?(?:<think>.*?</think>)?", re.DOTALL)
+"""What may stand in front: the start of the turn, which `transformers serve` repeats, and a model's thoughts."""
+_FENCE = re.compile(r"^\s*```(?:json)?\s*(.*?)\s*```\s*$", re.DOTALL)
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+")
 _SLUG = re.compile(r"[^a-z0-9]+")
 
@@ -61,7 +64,13 @@ class Opinion:
 
 
 def _text(most: int) -> dict[str, Any]:
-    return {"type": "string", "minLength": 1, "maxLength": most}
+    """Printable, without what JSON escapes: whoever is held to a pattern cannot answer with blanks or control codes.
+
+    In parts, because xgrammar 0.2.8 fails on a pattern that repeats more than 128 times.
+    """
+    parts = [min(_REPEATS, most - 1 - start) for start in range(0, most - 1, _REPEATS)]
+    letters = "".join(f"[ !#-\\[\\]-~]{{0,{count}}}" for count in parts)
+    return {"type": "string", "pattern": f"^[A-Za-z0-9]{letters}$"}
 
 
 def _object(**properties: dict[str, Any]) -> dict[str, Any]:
@@ -82,19 +91,19 @@ CONSTRAINTS_SCHEMA = _object(
         ),
     }
 )
-SPANS_SCHEMA = _object(
-    segments={
-        "type": "array",
-        "minItems": 1,
-        "maxItems": MOST_SPANS,
-        "items": _object(
-            evidence=_text(MOST_TEXT),
-            start_s={"type": "number", "minimum": 0},
-            end_s={"type": "number", "minimum": 0},
-        ),
-    }
-)
 OPINION_SCHEMA = _object(rationale=_text(MOST_TEXT), verdict={"type": "string", "enum": list(VERDICTS)})
+
+
+def spans_schema(times_s: Sequence[float]) -> dict[str, Any]:
+    """Of segments that begin and end at frames that are shown, in the letters that stand over them."""
+    shown = {"type": "string", "enum": [shown_time(t) for t in sorted({round(t, 2) for t in times_s})]}
+    segment = _object(evidence=_text(MOST_TEXT), start_s=shown, end_s=shown)
+    return _object(segments={"type": "array", "minItems": 1, "maxItems": MOST_SPANS, "items": segment})
+
+
+def shown_time(time_s: float) -> str:
+    """A time since the first frame as it is burned in."""
+    return f"{time_s:.2f}"
 
 
 def read_constraints(text: str) -> list[Constraint]:
@@ -116,17 +125,16 @@ def read_constraints(text: str) -> list[Constraint]:
 
 
 def read_spans(text: str, duration_s: float) -> list[Span]:
-    """In the order of their starts. Raises BadAnswer for one outside of 0 to `duration_s` or without a length."""
+    """In the order of their starts; a start after its end changes places with it. Raises BadAnswer for one outside of 0
+    to `duration_s`."""
     found: list[Span] = []
     for item in _items(_load(text, "segments"), "segments", MOST_SPANS):
         _keys(item, "evidence", "start_s", "end_s")
-        start_s, end_s = _number(item, "start_s"), _number(item, "end_s")
-        if not start_s < end_s:
-            raise BadAnswer(f"a segment from {start_s:g} s to {end_s:g} s has no length")
+        start_s, end_s = sorted((_number(item, "start_s"), _number(item, "end_s")))
         # Half a second over the end is how the last time that was burned in gets rounded up.
         if end_s > duration_s + 0.5:
             raise BadAnswer(f"a segment ends at {end_s:g} s, but the video ends at {duration_s:.2f} s")
-        found.append(Span(start_s, min(end_s, duration_s), _words(item, "evidence", MOST_TEXT)))
+        found.append(Span(min(start_s, duration_s), min(end_s, duration_s), _words(item, "evidence", MOST_TEXT)))
     return sorted(found, key=lambda span: (span.start_s, span.end_s))
 
 
@@ -140,8 +148,10 @@ def read_opinion(text: str) -> Opinion:
 
 
 def _load(text: str, key: str) -> dict[str, Any]:
-    """The one JSON object of an answer, which may stand in a fence or after a model's thoughts."""
-    inside = _THOUGHT.sub("", found[1] if (found := _FENCE.match(text)) else text)
+    """The one JSON object of an answer, which may stand in a fence."""
+    inside = _BEFORE.sub("", text)
+    if found := _FENCE.match(inside):
+        inside = found[1]
     try:
         value = json.loads(inside, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
@@ -184,10 +194,13 @@ def _words(item: dict[str, Any], key: str, most: int) -> str:
 
 
 def _number(item: dict[str, Any], key: str) -> float:
+    """Also from a text: `"1.20"`, or `"1.20 s"` as it stands over a frame."""
     value = item[key]
+    if isinstance(value, str):
+        value = value.strip().removesuffix("s").strip()
     try:
-        number = float("nan") if isinstance(value, bool | str) else float(value)
-    except (TypeError, OverflowError):
+        number = float("nan") if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if not math.isfinite(number) or number < 0:
         raise BadAnswer(f"{key} is {_shown(value)}, not a number of 0 or more")

@@ -119,7 +119,7 @@ def _episode(total: Estimate, episode: Episode, catalogue: Catalogue, proposer: 
         spans = len(known.spans) if known.has_spans(located) else 1
         if "segments" in proposer.stages and not known.has_spans(located):
             views = [(camera, []) for camera in cameras]
-            total.add(locate_prompt(instruction, itc, views), _sizes(episode, cameras, min(count, OVERVIEW_FRAMES)))
+            total.add(locate_prompt(instruction, itc, views, ()), _sizes(episode, cameras, min(count, OVERVIEW_FRAMES)))
         elif known.has_decisions(settings.decide_key(located, itc)):
             continue
         if "verdicts" in proposer.stages:

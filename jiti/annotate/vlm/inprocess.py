@@ -65,7 +65,7 @@ class InProcessBackend:
         import torch
         from transformers import LogitsProcessorList
 
-        inputs = self._inputs(prompt).to(self._model.device)
+        inputs = to_inputs(self._processor, prompt).to(self._model.device)
         torch.manual_seed(prompt.seed)
         sampling = {"do_sample": True, "temperature": prompt.temperature} if prompt.temperature > 0 else {}
         done = self._model.generate(
@@ -84,23 +84,6 @@ class InProcessBackend:
         tokens = tuple(self._token(i, scores[0]) for i, scores in zip(ids, done.scores, strict=False))
         return self._processor.tokenizer.decode(ids), cut, asked, tokens
 
-    def _inputs(self, prompt: Prompt) -> Any:
-        from PIL import Image
-
-        content = [
-            {"type": "image", "image": Image.open(io.BytesIO(part.jpeg))}
-            if isinstance(part, Picture)
-            else {"type": "text", "text": part}
-            for part in prompt.parts
-        ]
-        messages = [
-            {"role": "system", "content": [{"type": "text", "text": prompt.system}]},
-            {"role": "user", "content": content},
-        ]
-        return self._processor.apply_chat_template(
-            messages, add_generation_prompt=True, tokenize=True, return_dict=True, return_tensors="pt"
-        )
-
     def _grammars(self) -> Any:
         import xgrammar
 
@@ -117,7 +100,7 @@ class InProcessBackend:
         text = json.dumps(schema, sort_keys=False)
         if text not in self._compiled:
             # Without free white space: a model that is not trained for JSON would go on with that for ever.
-            self._compiled[text] = self._compiler.compile_json_schema(text, any_whitespace=False)
+            self._compiled[text] = self._compiler.compile_json_schema(text, any_whitespace=False, separators=(",", ":"))
         return LogitsProcessor(self._compiled[text])
 
     def _stops(self) -> set[int]:
@@ -132,3 +115,22 @@ class InProcessBackend:
         decode = self._processor.tokenizer.decode
         others = {decode([n]): v for v, n in zip(values.tolist(), numbers.tolist(), strict=True) if v > -1e30}
         return Token(decode([number]), float(logprobs[number]), others)
+
+
+def to_inputs(processor: Any, prompt: Prompt) -> Any:
+    """A prompt as a model's processor wants it, in its own chat template."""
+    from PIL import Image
+
+    content = [
+        {"type": "image", "image": Image.open(io.BytesIO(part.jpeg))}
+        if isinstance(part, Picture)
+        else {"type": "text", "text": part}
+        for part in prompt.parts
+    ]
+    messages = [
+        {"role": "system", "content": [{"type": "text", "text": prompt.system}]},
+        {"role": "user", "content": content},
+    ]
+    return processor.apply_chat_template(
+        messages, add_generation_prompt=True, tokenize=True, return_dict=True, return_tensors="pt"
+    )

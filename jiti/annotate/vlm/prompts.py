@@ -7,7 +7,7 @@ data, on one line, cut, and without the brackets that mark where data ends.
 import re
 from collections.abc import Sequence
 
-from jiti.annotate.vlm.answers import CONSTRAINTS_SCHEMA, MOST_CONSTRAINTS, OPINION_SCHEMA, SPANS_SCHEMA, Span
+from jiti.annotate.vlm.answers import CONSTRAINTS_SCHEMA, MOST_CONSTRAINTS, OPINION_SCHEMA, Span, spans_schema
 from jiti.annotate.vlm.backend import Picture, Prompt
 from jiti.tasks.task import ITC, Criterion
 
@@ -15,8 +15,8 @@ VERSION = 1
 """Changes when these words do, so that what was asked with others is asked again."""
 LONGEST_DATA = 300
 """Characters of anything quoted from a recording."""
-MOST_TOKENS = {"constraints": 900, "segments": 500, "verdict": 220}
-"""Of an answer: its schema's greatest lengths, at three characters a token."""
+MOST_TOKENS = {"constraints": 2800, "segments": 1000, "verdict": 300}
+"""Of an answer: its schema's greatest lengths, at one character a token, which only an untrained model needs."""
 
 _NOT_DATA = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069<>]+")
 
@@ -51,8 +51,10 @@ def discover_prompt(instruction: str, sheets: Sequence[Picture]) -> Prompt:
     return _prompt((words, *sheets), "constraints", CONSTRAINTS_SCHEMA)
 
 
-def locate_prompt(instruction: str, itc: ITC, cameras: Sequence[tuple[str, Sequence[Picture]]]) -> Prompt:
-    """Stage two: the segments of an episode where a constraint is decided."""
+def locate_prompt(
+    instruction: str, itc: ITC, cameras: Sequence[tuple[str, Sequence[Picture]]], times_s: Sequence[float]
+) -> Prompt:
+    """Stage two: the segments of an episode where a constraint is decided. `times_s` are those of the frames."""
     words = (
         f"A robot arm was asked: {quoted(instruction)}\n{_of(itc)}\n"
         "Find the segment of this demonstration in which the constraint is decided: where one can see whether it is "
@@ -60,7 +62,7 @@ def locate_prompt(instruction: str, itc: ITC, cameras: Sequence[tuple[str, Seque
         "one only where the constraint is decided more than once. `evidence`: what is visible there. "
         "`start_s`, `end_s`: seconds, as written over the frames."
     )
-    return _prompt((words, *_shown(cameras)), "segments", SPANS_SCHEMA)
+    return _prompt((words, *_shown(cameras)), "segments", spans_schema(times_s))
 
 
 def decide_prompt(

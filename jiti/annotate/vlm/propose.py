@@ -11,7 +11,7 @@ from jiti.annotate.vlm.ask import Asker
 from jiti.annotate.vlm.backend import ModelFailed
 from jiti.annotate.vlm.calibration import Calibration
 from jiti.annotate.vlm.decide import decide
-from jiti.annotate.vlm.locate import Views, locate, overview
+from jiti.annotate.vlm.locate import Overview, locate, overview
 from jiti.annotate.vlm.notes import UNDECIDED, Decision, ItcNotes, Notes
 from jiti.annotate.vlm.settings import Settings
 from jiti.annotate.window import frames_between, proposed_segment, proposed_window
@@ -53,17 +53,17 @@ def complete(
     """Ask what the notes lack, and write it down, failures as well. Raises SourceError for damaged pictures."""
     cameras = cameras_of(episode, settings.cameras)
     instruction = task.instruction or episode.task or ""
-    views: Views | None = None
+    shown: Overview | None = None
     readings = Readings(episode)
     for itc in task.itcs:
         known = notes.itcs.setdefault(itc.itc_id, ItcNotes())
         located = settings.locate_key(instruction, itc, cameras)
         if "segments" in stages and not known.has_spans(located):
-            views = views if views is not None else overview(episode, cameras, find_events(episode))
+            shown = shown or overview(episode, cameras, find_events(episode))
             known.located, known.spans, known.located_failure = located, [], ""
             known.decided, known.decisions = "", []
             try:
-                known.spans = locate(asker, episode, instruction, itc, views)
+                known.spans = locate(asker, episode, instruction, itc, shown)
             except ModelFailed as error:
                 known.located_failure = str(error)
         decided = settings.decide_key(known.located, itc)

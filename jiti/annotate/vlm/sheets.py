@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from jiti.annotate.vlm.answers import shown_time
 from jiti.annotate.vlm.backend import Picture
 from jiti.episodes.episode import Episode
 from jiti.episodes.video import decode_frames
@@ -34,7 +35,8 @@ def contact_sheets(episode: Episode, camera: str, frames: Sequence[int]) -> list
     """
     since_ns = episode.clock.frame_ns - episode.clock.frame_ns[:1]
     tiles = [
-        _tile(pixels, f"{since_ns[frame] / 1e9:.2f} s") for frame, pixels in decode_frames(episode, camera, frames)
+        _tile(pixels, f"{shown_time(since_ns[frame] / 1e9)} s")
+        for frame, pixels in decode_frames(episode, camera, frames)
     ]
     return [_sheet(some) for some in batched(tiles, COLUMNS * ROWS)]
 
