@@ -10,6 +10,7 @@ import pytest
 from jiti.annotate.autolabel import autolabel, best_source
 from jiti.annotate.labels import read_segments
 from jiti.annotate.proposals import accept
+from jiti.annotate.proposer import Proposer
 from jiti.annotate.segment_file import Recording, to_segments
 from jiti.annotate.simulator import propose_from_simulator, read_trace
 from jiti.annotate.store import LabelStore
@@ -51,7 +52,8 @@ def write(
 
 def label(folder: Path, **options):
     reader = open_reader(folder)
-    return autolabel(reader, CATALOGUE, Path(reader.labels_dir), **{"source": "sim", **options})
+    proposer = Proposer(str(folder), Path(reader.labels_dir), by=options.pop("source", "sim"), **options)
+    return autolabel(reader, proposer)
 
 
 def test_a_window_of_the_papers_length_ends_where_the_itc_was_decided(tmp_path):

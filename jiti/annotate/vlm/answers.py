@@ -125,8 +125,10 @@ def read_constraints(text: str) -> list[Constraint]:
 
 
 def read_spans(text: str, duration_s: float) -> list[Span]:
-    """In the order of their starts; a start after its end changes places with it. Raises BadAnswer for one outside of 0
-    to `duration_s`."""
+    """In the order of their starts, each once; a start after its end changes places with it.
+
+    Raises BadAnswer for one outside of 0 to `duration_s`.
+    """
     found: list[Span] = []
     for item in _items(_load(text, "segments"), "segments", MOST_SPANS):
         _keys(item, "evidence", "start_s", "end_s")
@@ -134,7 +136,9 @@ def read_spans(text: str, duration_s: float) -> list[Span]:
         # Half a second over the end is how the last time that was burned in gets rounded up.
         if end_s > duration_s + 0.5:
             raise BadAnswer(f"a segment ends at {end_s:g} s, but the video ends at {duration_s:.2f} s")
-        found.append(Span(min(start_s, duration_s), min(end_s, duration_s), _words(item, "evidence", MOST_TEXT)))
+        span = Span(min(start_s, duration_s), min(end_s, duration_s), _words(item, "evidence", MOST_TEXT))
+        if all((span.start_s, span.end_s) != (other.start_s, other.end_s) for other in found):
+            found.append(span)
     return sorted(found, key=lambda span: (span.start_s, span.end_s))
 
 
