@@ -39,9 +39,29 @@ def recording(bench: Bench, seconds: int, *, large_pictures: bool = False) -> Pa
     return path
 
 
+def episodes(bench: Bench, seconds: int, count: int) -> Path:
+    """A folder of recordings of this length with the same pictures and another instruction each, made once."""
+    folder = bench.kept / "recordings-3" / f"{count}-of-{seconds}s"
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [k for k in range(count) if not (folder / f"episode_{k:03}.mcap").exists()]
+    if missing:
+        with bench.progress(f"Making {count} recordings") as say:
+            banks = _banks(seconds, False, say)
+            for k in missing:
+                _write_with(banks, folder / f"episode_{k:03}.mcap", seconds, f"Pick up cube {k}.", say)
+    return folder
+
+
 def _write(path: Path, seconds: int, large_pictures: bool, say: Say) -> None:
-    banks = [_bank(k, min(seconds, BANK_S), large_pictures, say) for k in range(len(CAMERAS))]
-    with McapWriter(path, instruction="Pick up the cube.", overwrite=True) as writer:
+    _write_with(_banks(seconds, large_pictures, say), path, seconds, "Pick up the cube.", say)
+
+
+def _banks(seconds: int, large_pictures: bool, say: Say) -> list[Sequence[bytes]]:
+    return [_bank(k, min(seconds, BANK_S), large_pictures, say) for k in range(len(CAMERAS))]
+
+
+def _write_with(banks: list[Sequence[bytes]], path: Path, seconds: int, instruction: str, say: Say) -> None:
+    with McapWriter(path, instruction=instruction, overwrite=True) as writer:
         for second in range(seconds):
             for time_ns, kind in _ticks(second):
                 if kind < len(CAMERAS):

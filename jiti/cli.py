@@ -271,6 +271,9 @@ def autolabel(
         str | None,
         typer.Option("--evaluate", metavar="REFERENCE", help="Compare proposals with a person's labels, or with sim."),
     ] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="With --vlm --evaluate: fit its confidence to the reference.")
+    ] = False,
     engine: Annotated[Engine, typer.Option("--engine", help="Threads here, or Ray.")] = Engine.local,
     ray_address: Annotated[
         str | None, typer.Option("--ray-address", help="A running Ray cluster. Default: one of this machine.")
@@ -290,6 +293,8 @@ def autolabel(
 
     if vlm and by:
         raise UsageError("--vlm and --from name two who propose: pass one of them.")
+    if calibrate and not evaluate:
+        raise UsageError("--calibrate is of --evaluate REFERENCE.")
     if libero and stage != Stage.itcs:
         raise UsageError("--libero is of --vlm --stage itcs.")
     wish = Wish(vlm_url, vlm_model, tuple(cameras or ()), samples, fuse, concurrency, timeout_s)
@@ -311,7 +316,7 @@ def autolabel(
         else:
             session = open_session(source, annotator=None, labels=labels, tasks=tasks)
             if evaluate:
-                done = command.evaluate_request(request, session, evaluate)
+                done = command.evaluate_request(request, session, evaluate, fit=calibrate)
             elif dry_run:
                 done = command.estimate_request(request, session, progress)
             else:

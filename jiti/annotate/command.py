@@ -5,12 +5,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+from jiti.annotate.agreement import lanes_of
 from jiti.annotate.autolabel import Autolabelled, autolabel, best_source
 from jiti.annotate.engine import Engine
 from jiti.annotate.evaluate import Evaluation, evaluate, save
+from jiti.annotate.labels import read_labels
 from jiti.annotate.proposer import ProposalSource, Proposer
 from jiti.annotate.vlm.ask import Asker
 from jiti.annotate.vlm.cache import AnswerCache
+from jiti.annotate.vlm.calibrate import calibrate
 from jiti.annotate.vlm.choose import Wish, choose
 from jiti.annotate.vlm.discover import PROPOSED_FILE, Discovered, Unknown, discover, tasks_in
 from jiti.annotate.vlm.estimate import Estimate, estimate
@@ -79,10 +82,19 @@ def estimate_request(request: Request, session: Session, progress: Progress) -> 
     return replace(found, prices=request.prices)
 
 
-def evaluate_request(request: Request, session: Session, reference: str) -> Evaluation:
-    """Compare what was proposed with a reference, and write figures and plot beside the labels."""
-    labels_dir = session.store.labels_dir
-    evaluation = evaluate(labels_dir, request.by or "signal", reference)
+def evaluate_request(request: Request, session: Session, reference: str, *, fit: bool = False) -> Evaluation:
+    """Compare what was proposed with a reference, and write figures and plot beside the labels.
+
+    With `fit`, the model's confidence is calibrated to the reference; the next run applies it.
+    """
+    labels_dir, by = session.store.labels_dir, request.by or "signal"
+    evaluation = evaluate(labels_dir, by, reference)
+    if fit:
+        if by != "vlm":
+            raise UsageError("--calibrate is of --vlm: what numbers and simulators decide has no confidence to fit.")
+        checked, _ = lanes_of(read_labels(labels_dir).segments, reference)
+        found = calibrate(session.reader, session.catalogue, labels_dir, checked)
+        evaluation = replace(evaluation, temperatures={model: c.temperature for model, c in found.items()})
     return save(replace(evaluation, discovered=_kept(request, session)), labels_dir / "evaluation")
 
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import islice
-from typing import Any, Literal
+from typing import Literal
 
 from jiti.errors import JitiError, UsageError
 
@@ -92,15 +92,15 @@ def _on_ray[T, R](
             ) from error
     try:
         slots = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
-        task: Any = ray.remote(max_retries=RAY_RETRIES)(work)
+        shared, task = ray.put(work), ray.remote(max_retries=RAY_RETRIES)(_call)
         rest = iter(items)
-        under_way = {task.remote(item): item for item in islice(rest, WAITING * slots)}
+        under_way = {task.remote(shared, item): item for item in islice(rest, WAITING * slots)}
         while under_way:
             done, _ = ray.wait(list(under_way), num_returns=1)
             for reference in done:
                 item = under_way.pop(reference)
                 for following in islice(rest, 1):
-                    under_way[task.remote(following)] = following
+                    under_way[task.remote(shared, following)] = following
                 try:
                     result = ray.get(reference)
                 except (exceptions.WorkerCrashedError, exceptions.OutOfMemoryError) as error:
@@ -109,3 +109,8 @@ def _on_ray[T, R](
     finally:
         if started:
             ray.shutdown()
+
+
+def _call[T, R](work: Callable[[T], R], item: T) -> R:
+    """Ray takes functions only, and `work` may be any object that can be called."""
+    return work(item)

@@ -6,7 +6,7 @@ is usual for detections. Verdicts are compared where segments were found so and 
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
@@ -92,6 +92,8 @@ class Evaluation:
     """By criterion, then process and spatial ones, then all."""
     discovered: tuple[int, int] | None = None
     """ITCs that a person kept, of those that were proposed, where both files are there."""
+    temperatures: Mapping[str, float] = field(default_factory=dict)
+    """By model, where confidence was calibrated to the reference."""
     files: tuple[Path, Path] | None = None
     """Figures and reliability plot, once they are written."""
 
@@ -103,8 +105,12 @@ class Evaluation:
         with console.capture() as captured:
             for table in self.tables():
                 console.print(table)
+        fitted = "".join(
+            f"Calibrated {model}: temperature {t:.2f}; run `jiti autolabel --vlm` again to apply it.\n"
+            for model, t in self.temperatures.items()
+        )
         where = f"Figures: {self.files[0]}\nReliability plot: {self.files[1]}" if self.files else ""
-        return captured.get() + where
+        return captured.get() + fitted + where
 
     def to_json(self) -> str:
         """For `--json`."""
@@ -120,6 +126,7 @@ class Evaluation:
             "episodes": self.episodes,
             "scores": rows,
             "discovered": self.discovered,
+            "temperatures": dict(self.temperatures),
             "paper": paper,
             "files": [str(path) for path in self.files or ()],
         }

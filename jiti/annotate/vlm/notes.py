@@ -62,6 +62,8 @@ class Notes:
     """One episode."""
 
     fingerprint: str
+    model: str = ""
+    """That was asked last."""
     itcs: dict[str, ItcNotes] = field(default_factory=dict)
 
 
@@ -74,7 +76,7 @@ def read_notes(path: Path, fingerprint: str) -> Notes:
     """Empty ones for a recording that has changed, or a file that cannot be read: the model is asked again."""
     try:
         row = json.loads(path.read_bytes())
-        notes = Notes(row["fingerprint"], {name: _itc(itc) for name, itc in row["itcs"].items()})
+        notes = Notes(row["fingerprint"], row["model"], {name: _itc(itc) for name, itc in row["itcs"].items()})
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return Notes(fingerprint)
     return notes if notes.fingerprint == fingerprint else Notes(fingerprint)

@@ -55,6 +55,7 @@ def complete(
     instruction = task.instruction or episode.task or ""
     shown: Overview | None = None
     readings = Readings(episode)
+    notes.model = asker.model
     for itc in task.itcs:
         known = notes.itcs.setdefault(itc.itc_id, ItcNotes())
         located = settings.locate_key(instruction, itc, cameras)

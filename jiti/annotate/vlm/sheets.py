@@ -59,8 +59,9 @@ def _tile(pixels: np.ndarray, caption: str) -> Image.Image:
     picture = Image.fromarray(pixels)
     height = _tile_height(picture.width, picture.height)
     tile = Image.new("RGB", (TILE_WIDTH, height), "black")
-    # Reducing first by a whole factor halves the time and is not seen.
-    tile.paste(picture.resize((TILE_WIDTH, height - CAPTION_HEIGHT), reducing_gap=2.0), (0, CAPTION_HEIGHT))
+    # Smoother filters take twice the time, and a model does not see the difference.
+    size, smooth = (TILE_WIDTH, height - CAPTION_HEIGHT), Image.Resampling.BILINEAR
+    tile.paste(picture.resize(size, smooth, reducing_gap=1.5), (0, CAPTION_HEIGHT))
     middle = TILE_WIDTH // 2, CAPTION_HEIGHT // 2
     ImageDraw.Draw(tile).text(middle, caption, "white", _font(), anchor="mm")
     return tile

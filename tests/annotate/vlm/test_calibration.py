@@ -13,6 +13,8 @@ from jiti.annotate.vlm.calibration import LEAST, Calibration, fit, read_calibrat
 
 STEP = 1.15
 """From one temperature that is tried to the next."""
+STEP_LOSS = 2e-3
+"""A verdict: 1 and the doubles are not on the grid of temperatures, and may lie a little nearer to the best."""
 COARSE = Calibration(2.5, 120)
 
 
@@ -30,17 +32,20 @@ def log_loss(temperature: float, confidences: list[float], correct: list[bool]) 
     return sum(math.log1p(math.exp(-z if right else z)) for z, right in zip(logits, correct, strict=True))
 
 
+@settings(max_examples=50)
 @given(st.floats(0, 1))
 def test_a_temperature_of_one_changes_nothing(confidence):
     assert Calibration().apply(confidence) == pytest.approx(confidence, abs=2e-6)
 
 
+@settings(max_examples=50)
 @given(st.floats(0.1, 94), st.floats(0, 1), st.floats(0, 1))
 def test_what_was_surer_stays_surer(temperature, a, b):
     low, high = sorted((a, b))
     assert 0 <= Calibration(temperature).apply(low) <= Calibration(temperature).apply(high) <= 1
 
 
+@settings(max_examples=50)
 @given(st.floats(0.1, 94), st.floats(0, 1))
 def test_both_verdicts_are_treated_alike(temperature, p):
     scaled = Calibration(temperature)
@@ -48,6 +53,7 @@ def test_both_verdicts_are_treated_alike(temperature, p):
     assert scaled.apply(0.5) == 0.5
 
 
+@settings(max_examples=50)
 @given(st.floats(1.1, 94), st.floats(0.51, 1))
 def test_heat_takes_confidence_and_never_the_verdict(temperature, confidence):
     assert 0.5 < Calibration(temperature).apply(confidence) < confidence
@@ -61,13 +67,13 @@ def test_a_temperature_by_hand():
 
 @pytest.mark.parametrize("temperature", [0.5, 1.0, 2.0, 4.0])
 def test_the_temperature_that_verdicts_were_drawn_with_is_found(temperature):
-    found = fit(*verdicts(temperature, 6000, seed=3))
-    assert found.verdicts == 6000
+    found = fit(*verdicts(temperature, 2000, seed=3))
+    assert found.verdicts == 2000
     assert 1 / STEP**1.5 < found.temperature / temperature < STEP**1.5
 
 
 @given(st.integers(LEAST, 60), st.integers(0, 2**32 - 1), st.floats(0.3, 5))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_no_other_temperature_has_less_loss(count, seed, temperature):
     confidences, correct = verdicts(temperature, count, seed)
     found = fit(confidences, correct).temperature
@@ -75,10 +81,6 @@ def test_no_other_temperature_has_less_loss(count, seed, temperature):
     for other in (1.0, found * STEP, found / STEP, found * 2, found / 2):
         if 0.1 <= other <= 0.1 * STEP**49:
             assert least <= log_loss(other, confidences, correct) + STEP_LOSS * count
-
-
-STEP_LOSS = 2e-3
-"""A verdict: 1 and the doubles are not on the grid of temperatures, and may lie a little nearer to the best."""
 
 
 def test_a_model_that_is_always_right_gets_surer_and_one_that_guesses_knows_nothing():
@@ -147,7 +149,7 @@ def test_a_file_that_is_no_object_is_written_anew(tmp_path, text):
 
 
 @pytest.mark.xfail(reason="read_calibration takes any value for a temperature")
-@pytest.mark.parametrize("temperature", ["0", "-1", '"hot"', "null", "NaN", "1e-9"])
+@pytest.mark.parametrize("temperature", ["0", "-1", '"hot"', "null", "NaN"])
 def test_a_temperature_that_cannot_be_changes_no_confidence(tmp_path, temperature):
     folder = damaged(tmp_path, f'{{"m": {{"temperature": {temperature}, "verdicts": 99}}}}'.encode())
     assert 0.5 <= read_calibration(folder, "m").apply(0.9) <= 1

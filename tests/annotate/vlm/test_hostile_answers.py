@@ -212,7 +212,7 @@ def test_too_many_too_few_and_things_that_are_no_objects_are_refused(kind):
     read, good = READERS[kind]
     (item,) = good[kind]
     most = {"constraints": MOST_CONSTRAINTS, "segments": MOST_SPANS}[kind]
-    many = [item | {"name": f"name {k}"} if kind == "constraints" else item for k in range(most + 1)]
+    many = [item | ({"name": f"name {k}"} if kind == "constraints" else {"start_s": k / 4}) for k in range(most + 1)]
     assert len(read(json.dumps({kind: many[:most]}))) == most
     for items in (many, [], item, "none", None, 1, [1], [item, None], [[item]]):
         with pytest.raises(BadAnswer, match=f"{kind} must"):

@@ -6,8 +6,11 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from jiti.annotate.command import Request, discover_libero, estimate_request, run_request
+from jiti.annotate.command import Request, discover_libero, estimate_request, evaluate_request, run_request
 from jiti.annotate.labels import read_segments
+from jiti.annotate.proposals import accept, edit
+from jiti.annotate.segment_file import to_segments
+from jiti.annotate.vlm.calibration import read_calibration
 from jiti.annotate.vlm.choose import Wish
 from jiti.annotate.vlm.notes import notes_path
 from jiti.annotate.web.app import create_app
@@ -298,3 +301,29 @@ def test_samples_that_differ_lower_the_confidence(tmp_path):
     assert row["confidence"] == pytest.approx(2.5 / 4)
     notes = json.loads(notes_path(tmp_path / "labels", row["episode_id"]).read_bytes())
     assert notes["itcs"]["elegant/T0/release-inside"]["decisions"][0]["samples"] == 3
+
+
+def test_confidence_is_fitted_to_checked_verdicts_and_applied(tmp_path):
+    """A model that is always sure and half of the time wrong ends up unsure."""
+    for k in range(24):
+        write_demonstration(tmp_path / f"{k:02}.mcap", poses=False, steps=30)
+    with scripted() as server:
+        label(tmp_path, server.url, samples=4)
+        proposals = to_segments(read_segments(tmp_path / "labels"))
+        assert [proposal.confidence for proposal in proposals] == pytest.approx([0.9] * 24)
+        session = session_of(tmp_path)
+        for k, proposal in enumerate(proposals):
+            decision = accept(proposal) if k % 2 else edit(proposal, reward=0)
+            session.partition(proposal.episode_id).apply("decide", [decision], based_on=0)
+        done = evaluate_request(Request("vlm"), session, "ada", fit=True)
+        asked = len(server.requests)
+        label(tmp_path, server.url, samples=4)
+        assert len(server.requests) == asked
+    assert done.temperatures["tiny"] > 10
+    whole = done.scores[-1]
+    assert (whole.verdicts, whole.correct) == (24, 12)
+    assert whole.ece == pytest.approx(0.4)
+    assert done.files is not None
+    assert all(path.is_file() for path in done.files)
+    calibrated = read_calibration(tmp_path / "labels", "tiny")
+    assert (calibrated.verdicts, calibrated.temperature) == (24, done.temperatures["tiny"])

@@ -2,6 +2,7 @@
 
 import json
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -21,8 +22,7 @@ def written(verdict: str, rationale: str, separators: tuple[str, str], *, last: 
 
 
 def cut(text: str, edges: list[int]) -> list[str]:
-    edges = [0, *sorted(edges), len(text)]
-    return [text[a:b] for a, b in zip(edges, edges[1:], strict=False)]
+    return [text[a:b] for a, b in pairwise([0, *sorted(edges), len(text)])]
 
 
 @given(

@@ -43,7 +43,7 @@ def happenings(draw: st.DrawFn) -> tuple[Clock, list[Event]]:
 
 
 @given(happenings(), st.integers(2, 60))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_an_overview_has_the_ends_in_order_and_as_many_frames_as_there_can_be(happened, most):
     clock, events = happened
     frames = overview_frames(clock, events, most)
@@ -74,9 +74,8 @@ def test_the_sharpest_events_come_first():
     """Of 24 frames 12 may be for events: with the ends, three times three."""
     events = [event(20 * k, sharpness=k / 20) for k in range(1, 15)]
     frames = overview_frames(clock_of(301, 20), events)
-    assert {20 * k for k in (14, 13, 12)} <= set(frames)
-    assert {20 * k + 5 for k in (14, 13, 12)} <= set(frames)
-    assert not {20 * k + 5 for k in range(1, 12)} & set(frames)
+    whole = [k for k in range(1, 15) if {20 * k - 5, 20 * k, 20 * k + 5} <= set(frames)]
+    assert whole == [12, 13, 14]
 
 
 def test_without_events_no_gap_is_more_than_twice_another():
@@ -95,7 +94,7 @@ def test_what_is_between_events_is_seen_as_well(happened):
 
 
 @given(clocks(), st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_a_segment_is_shown_with_both_its_ends_or_nearly_and_the_episodes(clock, data):
     last = clock.frame_count - 1
     start, end = sorted(data.draw(st.tuples(st.integers(0, last), st.integers(0, last))))
