@@ -17,8 +17,10 @@ from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import Segment, new_segment_id
 from jiti.annotate.store import LabelStore
 from jiti.cli import app
+from tests.builders.demonstration import write_demonstration
 from tests.builders.lerobot import H264, write_v3
 from tests.builders.mcap import Camera, write_mcap
+from tests.builders.scripted_server import scripted
 
 
 def _commands(of: typer.Typer, prefix: str = "") -> list[str]:
@@ -271,3 +273,40 @@ def test_proposals_are_written_from_what_a_recording_has(run: Run, tmp_path: Pat
     done = run("autolabel", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["source"] == "signal"
+
+
+def test_without_a_model_it_says_which_to_start(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_mcap(tmp_path / "a.mcap", cameras={"front": Camera()})
+    # A port that no one listens on, in case a model runs at the usual one here.
+    monkeypatch.setenv("JITI_VLM_URL", "http://127.0.0.1:9/v1")
+    refused(run("autolabel", "--vlm"), "no model server answers", "vllm serve nvidia/Cosmos-Reason2-2B", "--vlm-model")
+    told = run("autolabel", "--vlm", "--dry-run", "--json", "--prices", "1", "2")
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["requests"] == 16
+
+
+def test_a_model_is_asked_through_a_server(run: Run, tmp_path: Path) -> None:
+    write_demonstration(tmp_path / "a.mcap", poses=False, steps=30)
+    with scripted() as server:
+        done = run("autolabel", "--vlm", "--vlm-url", server.url, "--samples", "2")
+    assert done.returncode == 0, done.stderr
+    assert "1 proposals from vlm for 1 episodes, 1 satisfied and 0 violated." in done.stdout
+    assert "3 requests" in done.stdout
+    refused(run("autolabel", "--vlm", "--evaluate", "ada"), "'ada' has no labels", "There are: vlm")
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--vlm", "--from", "sim"), "pass one of them"),
+        (("--stage", "verdicts"), "add --vlm"),
+        (("--libero",), "--libero is of --vlm --stage itcs"),
+        (("--calibrate",), "--calibrate is of --evaluate"),
+        (("--dry-run",), "--dry-run is of --vlm"),
+        (("--vlm", "--vlm-model", "some-model"), "neither a folder nor a Hub id"),
+        (("--vlm", "--vlm-url", "localhost"), "is no address"),
+    ],
+)
+def test_flags_of_autolabel_that_do_not_fit_name_themselves(run: Run, tmp_path: Path, flags, said) -> None:
+    write_mcap(tmp_path / "a.mcap", cameras={"front": Camera()})
+    refused(run("autolabel", *flags), said)

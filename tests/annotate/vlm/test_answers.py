@@ -166,6 +166,7 @@ def test_white_space_order_fence_thoughts_and_turn_change_nothing(kind, data):
 def test_what_a_model_thought_first_does_not_count():
     thoughts = f"<think>{opinion(verdict='violated')}</think>"
     assert read_opinion(thoughts + opinion()).satisfied is True
+    assert read_opinion(thoughts + opinion(rationale="it says </think>")).rationale == "it says </think>"
     with pytest.raises(BadAnswer):
         read_opinion(thoughts)
     with pytest.raises(BadAnswer):

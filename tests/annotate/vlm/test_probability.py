@@ -80,6 +80,13 @@ def test_every_beginning_of_a_choice_counts_for_it(before):
     assert choice_probability(tokens, "verdict", VERDICTS) == pytest.approx({"satisfied": 0.75, "violated": 0.25})
 
 
+def test_a_beginning_counts_with_other_space_and_quotes_before_it_too():
+    tokens = around(("satisfied", 0.3), said="satisfied", before=':"')
+    others = {':"satisfied': math.log(0.3), ' "viol': math.log(0.1), "violated": math.log(0.2)}
+    tokens[1] = Token(tokens[1].text, math.log(0.3), others)
+    assert choice_probability(tokens, "verdict", VERDICTS) == pytest.approx({"satisfied": 0.5, "violated": 0.5})
+
+
 def test_what_begins_no_choice_counts_for_none():
     tokens = around(("satisfied", 0.3), ("violated", 0.1), ("Satisfied", 0.2), ("yes", 0.2), ("", 0.1), ('"', 0.1))
     assert choice_probability(tokens, "verdict", VERDICTS) == pytest.approx({"satisfied": 0.75, "violated": 0.25})
