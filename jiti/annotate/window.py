@@ -38,6 +38,10 @@ def proposed_segment(episode: Episode, itc: ITC, start: int, end: int, *, source
     )
 
 
+SHOWN_S = 0.005001
+"""Times are shown with two digits: this far from one, a frame may be the one that was meant."""
+
+
 def frames_between(clock: Clock, start_s: float, end_s: float) -> tuple[int, int]:
     """First and last frame, both inclusive, of a time in seconds since the first frame; one frame at least.
 
@@ -45,8 +49,8 @@ def frames_between(clock: Clock, start_s: float, end_s: float) -> tuple[int, int
     """
     since_s = (clock.frame_ns - clock.frame_ns[0]) / 1e9
     last = clock.frame_count - 1
-    start = int(np.clip(np.searchsorted(since_s, start_s - 1e-6), 0, last))
-    end = int(np.clip(np.searchsorted(since_s, end_s + 1e-6, side="right") - 1, start, last))
+    start = int(np.clip(np.searchsorted(since_s, start_s - SHOWN_S), 0, last))
+    end = int(np.clip(np.searchsorted(since_s, end_s + SHOWN_S, side="right") - 1, start, last))
     if (missing := DEFAULT_WINDOW_FRAMES - (end - start + 1)) > 0:
         start = max(0, start - missing // 2)
         end = min(last, start + DEFAULT_WINDOW_FRAMES - 1)

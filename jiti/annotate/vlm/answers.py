@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from jiti.tasks.task import Criterion
@@ -23,10 +24,13 @@ MOST_STATEMENT = 240
 _REPEATS = 120
 VERDICTS = ("satisfied", "violated")
 
-_BEFORE = re.compile(r"^\s*(?:<\|im_start\|>assistant\s*)?(?:<think>.*?</think>)?", re.DOTALL)
+NOT_SHOWN = r"\x00-\x1f\x7f-\x9f\u00ad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\U000e0000-\U000e007f"
+"""Inside of a regular expression's brackets: control characters, marks of direction, joiners, invisible letters."""
+
+_BEFORE = re.compile(r"^\s*(?:<\|im_start\|>assistant\s*)?(?:(?:<think>)?.*?</think>)?", re.DOTALL)
 """What may stand in front: the start of the turn, which `transformers serve` repeats, and a model's thoughts."""
-_FENCE = re.compile(r"^\s*```(?:json)?\s*(.*?)\s*```\s*$", re.DOTALL)
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+")
+_FENCE = re.compile(r"^\s*```(?:json)?(.*)```\s*$", re.DOTALL)
+_CONTROL = re.compile(f"[{NOT_SHOWN}]+")
 _SLUG = re.compile(r"[^a-z0-9]+")
 
 
@@ -113,7 +117,7 @@ def read_constraints(text: str) -> list[Constraint]:
         _keys(item, "name", "criterion", "statement", "check", "confidence")
         name = _SLUG.sub("-", _words(item, "name", 40).lower()).strip("-")
         if not name or any(name == other.name for other in found):
-            raise BadAnswer(f"the name {item['name']!r} has no letters or is there twice")
+            raise BadAnswer(f"the name {_shown(item['name'])} has no letters or is there twice")
         if item["criterion"] not in [c.value for c in Criterion]:
             raise BadAnswer(f"criterion is {_shown(item['criterion'])}, not one of {', '.join(Criterion)}")
         confidence = _number(item, "confidence")
@@ -183,7 +187,8 @@ def _items(value: dict[str, Any], key: str, most: int) -> list[dict[str, Any]]:
 
 def _keys(item: dict[str, Any], *names: str) -> None:
     if set(item) != set(names):
-        raise BadAnswer(f"an object has the keys {', '.join(map(_shown, item)) or 'none'}, not {', '.join(names)}")
+        there = ", ".join(map(_shown, islice(item, 8))) + (", ..." if len(item) > 8 else "")
+        raise BadAnswer(f"an object has the keys {there or 'none'}, not {', '.join(names)}")
 
 
 def _words(item: dict[str, Any], key: str, most: int) -> str:

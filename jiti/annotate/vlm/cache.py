@@ -30,7 +30,7 @@ def prompt_key(model: str, prompt: Prompt) -> str:
         "seed": prompt.seed,
         "chosen": prompt.chosen,
     }
-    return hashlib.sha256(json.dumps(asked, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
 
 
 class AnswerCache:
@@ -46,14 +46,14 @@ class AnswerCache:
         """None for what was not asked before; a damaged file counts as that."""
         try:
             return _answer(json.loads(self._path(key).read_bytes()))
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None
 
     def put(self, key: str, answer: Answer) -> None:
         """Raises SaveFailed when the disk refuses."""
         path = self._path(key)
         make_folder(path.parent)
-        write_atomic(path, json.dumps(asdict(answer), ensure_ascii=False).encode())
+        write_atomic(path, json.dumps(asdict(answer)).encode())
 
     def _path(self, key: str) -> Path:
         return self._folder / key[:2] / f"{key}.json"
@@ -61,4 +61,6 @@ class AnswerCache:
 
 def _answer(row: Mapping[str, Any]) -> Answer:
     tokens = tuple(Token(t["text"], t["logprob"], t["others"]) for t in row["tokens"])
-    return Answer(row["text"], row["cut"], Usage(**row["usage"]), tokens)
+    if not isinstance(row["text"], str):
+        raise TypeError("an answer is a text")
+    return Answer(row["text"], bool(row["cut"]), Usage(**row["usage"]), tokens)

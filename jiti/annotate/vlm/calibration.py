@@ -27,8 +27,7 @@ class Calibration:
 
     def apply(self, confidence: float) -> float:
         """Confidence of a verdict, 0 to 1, as often as such verdicts are right."""
-        p = min(max(confidence, 1e-6), 1 - 1e-6)
-        return 1 / (1 + math.exp(-math.log(p / (1 - p)) / self.temperature))
+        return 1 / (1 + math.exp(-_logit(confidence) / self.temperature))
 
 
 def fit(confidences: Sequence[float], correct: Sequence[bool]) -> Calibration:
@@ -37,18 +36,26 @@ def fit(confidences: Sequence[float], correct: Sequence[bool]) -> Calibration:
         return Calibration()
 
     def loss(temperature: float) -> float:
-        calibrated = [Calibration(temperature).apply(c) for c in confidences]
-        return -sum(math.log(p if right else 1 - p) for p, right in zip(calibrated, correct, strict=True))
+        signed = [_logit(c) * (1 if right else -1) for c, right in zip(confidences, correct, strict=True)]
+        # log(1 + exp(-z)), which is not to overflow.
+        return sum(math.log1p(math.exp(-abs(z / temperature))) + max(0.0, -z / temperature) for z in signed)
 
     return Calibration(min(_TEMPERATURES, key=loss), len(confidences))
 
 
+def _logit(p: float) -> float:
+    p = min(max(p, 1e-6), 1 - 1e-6)
+    return math.log(p / (1 - p))
+
+
 def read_calibration(labels_dir: Path, model: str) -> Calibration:
-    """The default where none was fitted."""
+    """The default where none was fitted, or what is there cannot be one."""
     try:
-        return Calibration(**json.loads(_path(labels_dir).read_bytes())[model])
-    except (OSError, ValueError, KeyError, TypeError):
+        found = Calibration(**json.loads(_path(labels_dir).read_bytes())[model])
+        known = _TEMPERATURES[0] <= found.temperature <= _TEMPERATURES[-1]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return Calibration()
+    return found if known else Calibration()
 
 
 def write_calibration(labels_dir: Path, model: str, calibration: Calibration) -> None:
@@ -56,8 +63,9 @@ def write_calibration(labels_dir: Path, model: str, calibration: Calibration) ->
     path = _path(labels_dir)
     try:
         known = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        known = {}
+    except (OSError, ValueError, RecursionError):
+        known = None
+    known = known if isinstance(known, dict) else {}
     make_folder(path.parent)
     write_atomic(path, json.dumps(known | {model: asdict(calibration)}, indent=1).encode())
 

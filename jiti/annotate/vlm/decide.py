@@ -50,15 +50,16 @@ def weigh(asked: list[Asked[Opinion]]) -> tuple[bool, float]:
 
     Each sample counts with the probability that its tokens gave to "satisfied", or with 1 or 0 where the backend gives
     none. The mean over k samples is drawn to 1/2 by one sample that knows nothing, because few samples that agree do
-    not make a certainty (rule of succession). A tie goes to the first sample, which is the likeliest answer.
+    not make a certainty (rule of succession). Votes decide, an even vote goes to the surer side, and if there is none
+    to the first sample, which is the likeliest answer. A verdict is never given with less than 1/2.
     """
-    each = []
+    each: list[float] = []
     for one in asked:
         sure = choice_probability(one.answer.tokens, "verdict", VERDICTS)
         each.append(sure[VERDICTS[0]] if sure else float(one.value.satisfied))
-    p = (sum(each) + 0.5) / (len(each) + 1) if each else 0.5
+    p = (sum(each) + 0.5) / (len(each) + 1)
     if p == 0.5:
         return asked[0].value.satisfied, 0.5
     votes = fmean(float(one.value.satisfied) for one in asked)
     satisfied = votes > 0.5 or (votes == 0.5 and p > 0.5)
-    return satisfied, p if satisfied else 1 - p
+    return satisfied, max(0.5, p if satisfied else 1 - p)

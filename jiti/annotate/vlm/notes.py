@@ -77,7 +77,7 @@ def read_notes(path: Path, fingerprint: str) -> Notes:
     try:
         row = json.loads(path.read_bytes())
         notes = Notes(row["fingerprint"], row["model"], {name: _itc(itc) for name, itc in row["itcs"].items()})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return Notes(fingerprint)
     return notes if notes.fingerprint == fingerprint else Notes(fingerprint)
 
@@ -85,7 +85,7 @@ def read_notes(path: Path, fingerprint: str) -> Notes:
 def write_notes(path: Path, notes: Notes) -> None:
     """Raises SaveFailed."""
     make_folder(path.parent)
-    write_atomic(path, json.dumps(asdict(notes), ensure_ascii=False, indent=1).encode())
+    write_atomic(path, json.dumps(asdict(notes), indent=1).encode())
 
 
 def _itc(row: dict[str, Any]) -> ItcNotes:

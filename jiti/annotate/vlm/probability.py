@@ -1,6 +1,7 @@
 """How sure a model was of a choice, from the probabilities of the token with which the choice begins."""
 
 import math
+import re
 from collections.abc import Sequence
 
 from jiti.annotate.vlm.backend import Token
@@ -13,10 +14,10 @@ def choice_probability(tokens: Sequence[Token], key: str, choices: Sequence[str]
     and with any number of its letters; what is likeliest instead at that place counts for the choice that it begins.
     """
     text = "".join(token.text for token in tokens)
-    at = text.rfind(f'"{key}"')
-    if at < 0:
+    found = list(re.finditer(rf'"{re.escape(key)}"\s*:\s*"', text))
+    if not found:
         return None
-    quote = text.find('"', text.find(":", at + len(key) + 2) + 1)
+    quote = found[-1].end() - 1
     start = 0
     for token in tokens:
         # The first token with a letter of the value in it.
@@ -33,6 +34,6 @@ def _of_token(token: Token, before: str, choices: Sequence[str]) -> dict[str, fl
         value = text[len(before) :] if text.startswith(before) else text.lstrip(' "')
         for choice in choices:
             if value and (choice.startswith(value) or value.startswith(choice)):
-                total[choice] += math.exp(logprob)
+                total[choice] += math.exp(min(logprob, 0.0))
     mass = sum(total.values())
     return {choice: p / mass for choice, p in total.items()} if mass > 0 else None

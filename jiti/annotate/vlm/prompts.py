@@ -7,7 +7,14 @@ data, on one line, cut, and without the brackets that mark where data ends.
 import re
 from collections.abc import Sequence
 
-from jiti.annotate.vlm.answers import CONSTRAINTS_SCHEMA, MOST_CONSTRAINTS, OPINION_SCHEMA, Span, spans_schema
+from jiti.annotate.vlm.answers import (
+    CONSTRAINTS_SCHEMA,
+    MOST_CONSTRAINTS,
+    NOT_SHOWN,
+    OPINION_SCHEMA,
+    Span,
+    spans_schema,
+)
 from jiti.annotate.vlm.backend import Picture, Prompt
 from jiti.tasks.task import ITC, Criterion
 
@@ -18,7 +25,7 @@ LONGEST_DATA = 300
 MOST_TOKENS = {"constraints": 2800, "segments": 1000, "verdict": 300}
 """Of an answer: its schema's greatest lengths, at one character a token, which only an untrained model needs."""
 
-_NOT_DATA = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069<>]+")
+_NOT_DATA = re.compile(f"[{NOT_SHOWN}<>]+")
 
 _MEANING = {
     Criterion.TASK_SEQUENCE_INTEGRITY: "the object stays grasped until it is where it belongs; no early release, "

@@ -184,4 +184,8 @@ def _messages(prompt: Prompt) -> list[Mapping[str, Any]]:
 
 
 def _tokens(content: Any) -> tuple[Token, ...]:
-    return tuple(Token(t.token, t.logprob, {o.token: o.logprob for o in t.top_logprobs or ()}) for t in content)
+    """Numbers that are none make the answer one that cannot be read."""
+    return tuple(
+        Token(str(t.token), float(t.logprob), {str(o.token): float(o.logprob) for o in t.top_logprobs or ()})
+        for t in content
+    )

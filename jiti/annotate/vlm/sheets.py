@@ -22,6 +22,8 @@ CAPTION_HEIGHT = 32
 """Pixels over each frame, for its time: one token high."""
 LETTER_HEIGHT = 22
 """Pixels; read without fail at half of this in our pictures of it."""
+MOST_HEIGHT = 4 * TILE_WIDTH
+"""Pixels of a frame; one that is taller still is squeezed, as a JPEG has at most 65,500."""
 GAP = 4
 QUALITY = 88
 """Of the JPEG, 1 to 95."""
@@ -52,7 +54,7 @@ def sheet_size(width: int, height: int, frames: int) -> list[tuple[int, int]]:
 
 
 def _tile_height(width: int, height: int) -> int:
-    return CAPTION_HEIGHT + max(1, round(TILE_WIDTH * height / max(width, 1)))
+    return CAPTION_HEIGHT + min(MOST_HEIGHT, max(1, round(TILE_WIDTH * height / max(width, 1))))
 
 
 def _tile(pixels: np.ndarray, caption: str) -> Image.Image:

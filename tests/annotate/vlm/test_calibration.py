@@ -104,7 +104,6 @@ def test_a_verdict_too_many_is_a_bug():
         fit([0.9] * (LEAST + 1), [True] * LEAST)
 
 
-@pytest.mark.xfail(reason="a confidence over 0.975 scaled by 0.1 is 1.0 in floats, and the log of 0 is no number")
 @pytest.mark.parametrize("confidence", [0.98, 0.9902, 0.999999, 1.0])
 def test_a_mistake_of_a_sure_model_can_be_fitted(confidence):
     found = fit([confidence] * LEAST, [False, *[True] * (LEAST - 1)])
@@ -141,14 +140,12 @@ def test_a_damaged_file_is_written_anew(tmp_path, text):
     assert json.loads((tmp_path / "vlm" / "calibration.json").read_bytes())["m"]["verdicts"] == 120
 
 
-@pytest.mark.xfail(reason="write_calibration adds to whatever JSON is there")
 @pytest.mark.parametrize("text", [b"[]", b"null", b"7"])
 def test_a_file_that_is_no_object_is_written_anew(tmp_path, text):
     write_calibration(damaged(tmp_path, text), "m", COARSE)
     assert read_calibration(tmp_path, "m") == COARSE
 
 
-@pytest.mark.xfail(reason="read_calibration takes any value for a temperature")
 @pytest.mark.parametrize("temperature", ["0", "-1", '"hot"', "null", "NaN"])
 def test_a_temperature_that_cannot_be_changes_no_confidence(tmp_path, temperature):
     folder = damaged(tmp_path, f'{{"m": {{"temperature": {temperature}, "verdicts": 99}}}}'.encode())

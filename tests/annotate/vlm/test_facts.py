@@ -102,7 +102,6 @@ def test_names_in_a_recording_do_not_come_into_the_table():
     assert "<" not in table
 
 
-@pytest.mark.xfail(reason="three joints are motion of three columns as well, and are called a place in metres")
 def test_three_joints_are_not_a_place():
     joints = ["waist.pos", "shoulder.pos", "elbow.pos", "gripper.pos"]
     moving = np.concatenate([100 * PLACE, 100 * OPENING], axis=1)

@@ -88,7 +88,6 @@ def test_answers_without_probabilities_count_in_full_beside_those_with():
     assert weigh([vote(True), vote(True, 0.75)]) == (True, pytest.approx(0.75))
 
 
-@pytest.mark.xfail(reason="votes choose the verdict and probabilities the confidence: they may differ")
 @pytest.mark.parametrize(
     "votes",
     [
