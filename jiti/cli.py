@@ -295,14 +295,22 @@ def autolabel(
         raise UsageError("--vlm and --from name two who propose: pass one of them.")
     if calibrate and not evaluate:
         raise UsageError("--calibrate is of --evaluate REFERENCE.")
-    if libero and stage != Stage.itcs:
+    if libero and not (vlm and stage == Stage.itcs and not evaluate):
         raise UsageError("--libero is of --vlm --stage itcs.")
-    wish = Wish(vlm_url, vlm_model, tuple(cameras or ()), samples, fuse, concurrency, timeout_s)
+    wish = Wish(
+        url=vlm_url,
+        model=vlm_model,
+        cameras=tuple(cameras or ()),
+        samples=samples,
+        fuse=fuse,
+        concurrency=concurrency,
+        timeout_s=timeout_s,
+    )
     request = command.Request(
-        "vlm" if vlm else by.value if by else None,
-        wish,
-        stage.value if stage else None,
-        out,
+        by="vlm" if vlm else by.value if by else None,
+        wish=wish,
+        part=stage.value if stage else None,
+        out=out,
         engine=engine.value,
         workers=workers,
         address=ray_address,
@@ -312,7 +320,11 @@ def autolabel(
         if libero:
             from jiti.runtime.sim.libero import instructions
 
-            done = command.discover_libero(request, instructions(), labels or Path("labels"), progress)
+            folder = labels or Path("labels")
+            if dry_run:
+                done = command.estimate_libero(request, instructions(), folder)
+            else:
+                done = command.discover_libero(request, instructions(), folder, progress)
         else:
             session = open_session(source, annotator=None, labels=labels, tasks=tasks)
             if evaluate:

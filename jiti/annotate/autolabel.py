@@ -9,7 +9,9 @@ from pathlib import Path
 from jiti.annotate import simulator
 from jiti.annotate.engine import Engine, WorkerLost, run
 from jiti.annotate.proposals import write_proposals
-from jiti.annotate.proposer import ANNOTATORS, ProposalSource, Proposed, Proposer
+from jiti.annotate.proposer import ANNOTATORS, ProposalSource, Proposer
+from jiti.annotate.segment_file import Recording
+from jiti.annotate.segments import Segment
 from jiti.annotate.vlm.backend import NOTHING, Usage
 from jiti.annotate.vlm.notes import notes_path, write_notes
 from jiti.episodes.episode import EpisodeReader
@@ -44,7 +46,7 @@ class Autolabelled:
         lines = [f"{self.proposals} proposals from {self.source} for {self.episodes} episodes{verdicts}."]
         if self.usage.requests or self.usage.cached:
             spent = self.usage
-            price = f", cost {self.cost:.2f}" if self.cost is not None else ""
+            price = f", cost {self.cost:.2g}" if self.cost is not None else ""
             lines.append(
                 f"{spent.requests} requests, {spent.cached} answers known before; {spent.prompt_tokens} tokens read, "
                 f"{spent.completion_tokens} written{price}."
@@ -53,8 +55,8 @@ class Autolabelled:
             lines += [f"{title}: {reason}" for reason in reasons[:20]]
             if len(reasons) > 20:
                 lines.append(f"{title}: {len(reasons) - 20} more; --json lists all")
-        if self.failures or self.skipped:
-            lines.append("The same command tries again what is missing, and that only.")
+        if self.failures:
+            lines.append("The same command asks the model again for these, and for nothing else.")
         return "\n".join([*lines, f"They are in {self.labels_dir}; `jiti annotate` shows them for review."])
 
     def to_json(self) -> str:
@@ -93,13 +95,15 @@ def autolabel(
                 skipped[episode_id] = str(result)
                 continue
             total = replace(total, usage=total.usage + result.usage)
+            if result.notes is not None:
+                write_notes(notes_path(proposer.labels_dir, episode_id), result.notes)
             if result.recording is None:
                 skipped[episode_id] = "; ".join(result.failures)
                 continue
             if result.failures:
                 failures[episode_id] = result.failures
             try:
-                total = _kept(total, proposer, episode_id, result)
+                total = _written(total, proposer, episode_id, result.segments, result.recording)
             except SaveFailed:
                 raise
             except LabelError as error:
@@ -124,14 +128,12 @@ def best_source(reader: EpisodeReader) -> ProposalSource:
     return "signal"
 
 
-def _kept(total: Autolabelled, proposer: Proposer, episode_id: str, result: Proposed) -> Autolabelled:
-    """Write one episode's notes and proposals."""
-    if result.recording is None:
-        return total
-    if result.notes is not None:
-        write_notes(notes_path(proposer.labels_dir, episode_id), result.notes)
-    count = write_proposals(proposer.labels_dir, ANNOTATORS[proposer.by], episode_id, result.segments, result.recording)
-    verdicts = [segment.reward for segment in result.segments]
+def _written(
+    total: Autolabelled, proposer: Proposer, episode_id: str, segments: Sequence[Segment], recording: Recording
+) -> Autolabelled:
+    """Write one episode's proposals, and count them."""
+    count = write_proposals(proposer.labels_dir, ANNOTATORS[proposer.by], episode_id, segments, recording)
+    verdicts = [segment.reward for segment in segments]
     return replace(
         total,
         episodes=total.episodes + 1,

@@ -72,6 +72,12 @@ def find_channels(streams: Mapping[str, Stream]) -> tuple[Channel, ...]:
     )
 
 
+def is_place(stream: Stream, channel: Channel) -> bool:
+    """Whether a channel is x, y and z, in this order; three joints are none."""
+    last = [words(stream.names[column])[-1:] for column in channel.columns if column < len(stream.names)]
+    return last == [("x",), ("y",), ("z",)]
+
+
 def _of_stream(stream: Stream) -> Iterable[Channel]:
     """Grippers, contacts and forces of one stream."""
     outer = set(words(stream.name))

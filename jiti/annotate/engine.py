@@ -79,7 +79,7 @@ def _on_ray[T, R](
     if started:
         try:
             ray.init(
-                address=address,
+                address=address or "local",
                 num_cpus=None if address else workers or cores(),
                 include_dashboard=False,
                 log_to_driver=False,
@@ -103,8 +103,10 @@ def _on_ray[T, R](
                     under_way[task.remote(shared, following)] = following
                 try:
                     result = ray.get(reference)
-                except (exceptions.WorkerCrashedError, exceptions.OutOfMemoryError) as error:
-                    result = WorkerLost(f"its worker died {RAY_RETRIES + 1} times ({type(error).__name__})")
+                except exceptions.RayTaskError:
+                    raise  # what `work` itself raised
+                except exceptions.RayError as error:
+                    result = WorkerLost(f"its worker was lost {RAY_RETRIES + 1} times ({type(error).__name__})")
                 yield item, result
     finally:
         if started:

@@ -5,7 +5,7 @@ is usual for detections. Verdicts are compared where segments were found so and 
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
@@ -33,6 +33,7 @@ PAPER_G2 = {"process constraints": 0.706, "fine spatial checks": 0.478}
 """Accuracy of the paper's VLM on verdicts (supplement, G.2), on four tasks of LIBERO-Elegant."""
 PAPER_G1 = (235, 273)
 """ITCs that experts accepted of those that the paper's VLM proposed (supplement, G.1)."""
+_FLAG = {"vlm": "--vlm", "signal": "--from signal", "sim": "--from sim"}
 PROCESS = (Criterion.TASK_SEQUENCE_INTEGRITY, Criterion.COLLISION_FREE_EXECUTION)
 """Criteria about what happens on the way; the other two ask for exact places. Our reading of "process-oriented"."""
 
@@ -64,7 +65,7 @@ class Scores:
     """Found segments with a verdict on both sides."""
     correct: int
     kappa: float | None
-    """Cohen's; None where one side used one verdict only."""
+    """Cohen's; None where both sides used only one and the same verdict."""
     ece: float | None
     """Expected calibration error of the verdicts' confidences; None without any."""
     bins: tuple[Bin, ...] = ()
@@ -94,7 +95,7 @@ class Evaluation:
     """ITCs that a person kept, of those that were proposed, where both files are there."""
     temperatures: Mapping[str, float] = field(default_factory=dict)
     """By model, where confidence was calibrated to the reference."""
-    files: tuple[Path, Path] | None = None
+    files: tuple[Path, ...] = ()
     """Figures and reliability plot, once they are written."""
 
     def __str__(self) -> str:
@@ -105,11 +106,18 @@ class Evaluation:
         with console.capture() as captured:
             for table in self.tables():
                 console.print(table)
+            console.print(
+                f"ref., prop.: segments of {self.reference} and of {self.proposer}; F1 at temporal IoU {FOUND_IOU}; "
+                f"start, end: mean absolute error in frames; N, right: verdicts on both sides; ECE over {BINS} bins."
+            )
         fitted = "".join(
             f"Calibrated {model}: temperature {t:.2f}; run `jiti autolabel --vlm` again to apply it.\n"
             for model, t in self.temperatures.items()
         )
-        where = f"Figures: {self.files[0]}\nReliability plot: {self.files[1]}" if self.files else ""
+        named = zip(("Figures", "Reliability plot"), self.files, strict=False)
+        where = "\n".join(f"{name}: {path}" for name, path in named)
+        if len(self.files) == 1:
+            where += "\nNo reliability plot without matplotlib. Run: pip install 'jiti[vlm]'"
         return captured.get() + fitted + where
 
     def to_json(self) -> str:
@@ -128,15 +136,16 @@ class Evaluation:
             "discovered": self.discovered,
             "temperatures": dict(self.temperatures),
             "paper": paper,
-            "files": [str(path) for path in self.files or ()],
+            "files": [str(path) for path in self.files],
         }
 
     def tables(self) -> "list[Table]":
         """For the terminal: our figures, and the paper's beside ours."""
+        from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
         title = f"{self.proposer} against {self.reference}, {self.episodes} episodes"
-        ours = Table(title=title, title_justify="left")
+        ours = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
         ours.add_column("criterion", min_width=19)
         for heading in ("ref.", "prop.", "F1", "start", "end", "N", "right", "kappa", "ECE"):
             ours.add_column(heading, justify="right", no_wrap=True)
@@ -144,11 +153,7 @@ class Evaluation:
             figures = (s.f1, s.start_error, s.end_error, s.accuracy, s.kappa, s.ece)
             f1, start, end, right, kappa, ece = (_number(x) for x in figures)
             ours.add_row(s.name, str(s.reference), str(s.proposed), f1, start, end, str(s.verdicts), right, kappa, ece)
-        ours.caption = (
-            f"ref., prop.: segments of {self.reference} and of {self.proposer}; F1 at temporal IoU {FOUND_IOU}; "
-            f"start, end: mean absolute error in frames; N, right: verdicts on both sides; ECE over {BINS} bins."
-        )
-        paper = Table(title="Beside the paper's (supplement, G.1 and G.2)", title_justify="left")
+        paper = Table(title="Beside the paper's (supplement, G.1 and G.2)", title_justify="left", box=SIMPLE_HEAD)
         for heading in ("what", "paper", "here", "N here"):
             paper.add_column(heading)
         kept = self.discovered
@@ -176,12 +181,16 @@ def evaluate(labels_dir: Path, proposer: str, reference: str) -> Evaluation:
         raise LabelError("; ".join(map(str, labels.problems[:3])))
     table = labels.segments
     names = sorted(set(table["annotator"].to_pylist()))
-    for name, remedy in ((proposer, "run `jiti autolabel` first"), (reference, "give another name to --evaluate")):
+    proposing = f"run `jiti autolabel {_FLAG.get(proposer, '')}` first"
+    for name, remedy in ((proposer, proposing), (reference, "give another name to --evaluate")):
         if name not in names:
             raise LabelError(
                 f"{name!r} has no labels in {labels_dir}; {remedy}. There are: {', '.join(names) or 'none'}"
             )
-    return compare_lanes(lanes_of(table, reference)[0], lanes_of(table, proposer)[0], proposer, reference)
+    if proposer == reference:
+        raise LabelError(f"{reference!r} compared with itself says nothing; give another name to --evaluate")
+    lanes, worked = lanes_of(table, reference)
+    return compare_lanes(lanes, lanes_of(table, proposer)[0], proposer, reference, worked)
 
 
 def compare_lanes(
@@ -189,9 +198,10 @@ def compare_lanes(
     proposed: Mapping[tuple[str, str], Sequence[Segment]],
     proposer: str,
     named: str,
+    worked: Collection[str] = (),
 ) -> Evaluation:
-    """From segments by episode and ITC. Only episodes that the reference has are counted."""
-    episodes = {episode for episode, _ in reference}
+    """From segments by episode and ITC. Only episodes that the reference has, or `worked` on, are counted."""
+    episodes = {episode for episode, _ in reference} | set(worked)
     groups: dict[str, list[tuple[Sequence[Segment], Sequence[Segment]]]] = {c.value: [] for c in Criterion}
     for key in sorted(reference.keys() | proposed.keys()):
         if key[0] in episodes:
@@ -226,15 +236,16 @@ def verdict_pairs(matches: Iterable[Match]) -> list[Match]:
 
 
 def save(evaluation: Evaluation, folder: Path) -> Evaluation:
-    """The figures as JSON and the reliability plot as PNG. Raises SaveFailed, UsageError without matplotlib."""
-    from jiti.annotate.reliability import plot_png
+    """The figures as JSON and, where matplotlib is installed, the reliability plot as PNG. Raises SaveFailed."""
+    from jiti.annotate.reliability import can_plot, plot_png
 
     make_folder(folder)
     name = f"{evaluation.proposer}-against-{evaluation.reference}"
     figures, plot = folder / f"{name}.json", folder / f"{name}.png"
-    evaluation = replace(evaluation, files=(figures, plot))
-    write_atomic(plot, plot_png(evaluation))
+    evaluation = replace(evaluation, files=(figures, plot) if can_plot() else (figures,))
     write_atomic(figures, evaluation.to_json().encode())
+    if can_plot():
+        write_atomic(plot, plot_png(evaluation))
     return evaluation
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from jiti.annotate.readings import GRIPPER, Readings
-from jiti.episodes.episode import Episode
+from jiti.episodes.episode import Episode, loss
+from jiti.errors import CatalogueError
 from jiti.tasks.goal import Always, And, Atom, Goal, atoms, parse_goal
 from jiti.tasks.judge import GAP, Trace, Verdict, judge
 from jiti.tasks.rotation import angle_to_box, turned_rad
@@ -27,6 +28,11 @@ SETTLED_S = 0.15
 """For so long, in seconds."""
 CARRIED_M = 0.02
 """From where it stood, a thing that the hand touches is being carried or pushed. Our choice."""
+CLOSES_PER_S = 0.2
+"""Share of its travel in a second from which on a gripper is still closing. Our choice: one that holds gives less."""
+RELEASE_S = 0.15
+"""For so long nothing touches before a thing counts as let go; as `jiti.tasks.judge` at the simulator's 20 Hz."""
+ARITY = {"PositionUnchanged": 1, "IsGrasping": 1, "IsOrientationAligned": 2, "IsPreciselyOn": 2, "IsOnBottomOf": 2}
 OPENS = 0.04
 """Share of a gripper's travel by which it must open before what it holds is being let go. Our choice: fingers give by
 a tenth of that under load."""
@@ -47,11 +53,11 @@ class Measured:
 
 
 def decide_by_numbers(episode: Episode, itc: ITC, readings: Readings | None = None) -> Measured | None:
-    """The verdict on an ITC, or None where the recording does not have the numbers that its goal asks for.
+    """The verdict on an ITC, or None where the recording lacks a part, or the numbers that its goal asks for.
 
     Raises CatalogueError for a goal that cannot be read.
     """
-    if not itc.goal:
+    if not itc.goal or loss(episode) is not None:
         return None
     readings = readings or Readings(episode)
     verdict = _judged(parse_goal(itc.goal), readings)
@@ -63,7 +69,7 @@ def decide_by_numbers(episode: Episode, itc: ITC, readings: Readings | None = No
 
 
 def _judged(goal: Goal, readings: Readings) -> Verdict | None:
-    """Three-valued: one part that is violated violates all, whatever the others are."""
+    """Three-valued: one part of an `And` that is violated violates all, whatever the others are."""
     if isinstance(goal, And):
         verdicts = [_judged(part, readings) for part in goal.parts]
         known = [v for v in verdicts if v is not None]
@@ -82,7 +88,8 @@ def _judged(goal: Goal, readings: Readings) -> Verdict | None:
             measures[f"{atom} {GAP}"] = gap
         if (grasp := _is_grasping(atom.arguments[0], readings)) is not None:
             holds[str(atom.grasp)] = grasp
-    return judge(goal, Trace(holds, measures))
+    release = max(1, round(RELEASE_S * readings.rate_hz))
+    return judge(goal, Trace(holds, measures), release_steps=release)
 
 
 def _watch(atom: Atom, readings: Readings) -> np.ndarray | None:
@@ -97,6 +104,8 @@ def _watch(atom: Atom, readings: Readings) -> np.ndarray | None:
     }
     if atom.predicate not in watch or tolerance is None:
         return None
+    if len(atom.arguments) != ARITY[atom.predicate]:
+        raise CatalogueError(f"{atom.predicate} takes {ARITY[atom.predicate]} things, and not those of ({atom})")
     return watch[atom.predicate](*atom.arguments, tolerance, readings)
 
 
@@ -151,7 +160,7 @@ def _is_grasping(thing: str, readings: Readings) -> np.ndarray | None:
     least = np.inf
     for frame in range(readings.frames):
         least = min(least, opening[frame]) if touching[frame] else np.inf
-        closing = frame > 0 and opening[frame] < opening[frame - 1] - OPENS / 4
+        closing = frame > 0 and (opening[frame - 1] - opening[frame]) * readings.rate_hz > CLOSES_PER_S
         holding[frame] = touching[frame] and not closing and opening[frame] <= least + OPENS
     return holding
 

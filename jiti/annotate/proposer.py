@@ -1,8 +1,10 @@
 """What is proposed for one episode, and by whom: picklable, so that it can be done in any process."""
 
+import logging
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +22,7 @@ from jiti.annotate.vlm.notes import Notes, notes_path, read_notes
 from jiti.annotate.vlm.settings import Settings
 from jiti.episodes.episode import Episode, EpisodeReader
 from jiti.episodes.reader import open_reader
-from jiti.errors import JitiError
+from jiti.errors import CatalogueError, JitiError, SaveFailed, SourceError, UsageError
 from jiti.tasks.catalogue import Catalogue, load_catalogue
 from jiti.tasks.task import Task
 
@@ -49,8 +51,7 @@ class Proposer:
     """Of the model, for `vlm`."""
 
     def __call__(self, episode_id: str) -> "Proposed":
-        """Never raises for an episode that is bad: what went wrong is in the answer."""
-        spent = NOTHING
+        """What is wrong with an episode is in the answer; raises SaveFailed, UsageError, which concern them all."""
         try:
             opened = _opened(self.source, self.tasks)
             episode = opened.reader.open(episode_id)
@@ -58,24 +59,36 @@ class Proposer:
             recording = Recording(episode.clock.frame_count, episode.clock.rate_hz, episode.fingerprint)
             if self.by != "vlm":
                 return Proposed(recording, tuple(self._without_model(episode, task)))
-            asker = _asker(self.settings or Settings(), self.labels_dir)
-            notes = read_notes(notes_path(self.labels_dir, episode_id), episode.fingerprint)
-            vlm.complete(notes, episode, task, asker, self.settings or Settings(), self.stages)
-            spent = asker.take_usage()
-            calibration = read_calibration(self.labels_dir, asker.model)
-            segments = vlm.segments_of(notes, episode, task, calibration)
-            failures = tuple(f"{name}: {why}" for name, itc in notes.itcs.items() for why in itc.failures)
-            return Proposed(recording, tuple(segments), failures, notes, spent)
+            return self._with_model(episode, task, recording)
+        except (SaveFailed, UsageError):
+            raise
         except JitiError as error:
-            return Proposed(None, (), (str(error),), usage=spent)
+            return Proposed(None, (), (str(error),))
         except Exception as error:  # a bug in a decoder must not stop a night's run
-            return Proposed(None, (), (f"{type(error).__name__}: {error}",), usage=spent)
+            logging.getLogger(__name__).exception("%s", episode_id)
+            return Proposed(None, (), (f"{type(error).__name__}: {error}",))
+
+    def _with_model(self, episode: Episode, task: Task, recording: Recording) -> "Proposed":
+        settings = self.settings or Settings()
+        asker = _asker(settings, self.labels_dir)
+        notes = read_notes(notes_path(self.labels_dir, episode.episode_id), episode.fingerprint)
+        try:
+            vlm.complete(notes, episode, task, asker, settings, self.stages)
+        except SourceError as error:
+            # What was asked before the damaged picture was met is kept, and was paid for.
+            return Proposed(None, (), (str(error),), notes, asker.take_usage())
+        segments = vlm.segments_of(notes, episode, task, partial(read_calibration, self.labels_dir))
+        failures = tuple(f"{name}: {why}" for name, itc in notes.itcs.items() for why in itc.failures)
+        return Proposed(recording, tuple(segments), failures, notes, asker.take_usage())
 
     def _without_model(self, episode: Episode, task: Task) -> list[Segment]:
         if self.by == "sim":
             return simulator.propose_from_simulator(episode, task)
         readings = Readings(episode)
-        measured = {itc.itc_id: decide_by_numbers(episode, itc, readings) for itc in task.itcs}
+        measured = {}
+        for itc in task.itcs:
+            with suppress(CatalogueError):  # a goal that cannot be read leaves the other ITCs as they are
+                measured[itc.itc_id] = decide_by_numbers(episode, itc, readings)
         return signals.propose_segments(episode, task, measured=measured, fuse=self.fuse)
 
 

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from jiti.annotate.channels import find_channels
+from jiti.annotate.channels import find_channels, is_place
 from jiti.annotate.events import gripper_opening
 from jiti.episodes.episode import Episode, NumericBatch, Stream
 from jiti.tasks.rotation import matrices
@@ -31,7 +31,7 @@ class Readings:
         self._contacts = {
             frozenset((a, b)): (stream.name, column)
             for stream in episode.streams.values()
-            if stream.kind == "numeric" and stream.name.rpartition("/")[2] == "contacts"
+            if stream.kind == "numeric" and stream.count > 0 and stream.name.rpartition("/")[2] == "contacts"
             for column, name in enumerate(stream.names)
             for a, _, b in (name.partition("-"),)
         }
@@ -58,14 +58,18 @@ class Readings:
     def rotation(self, name: str) -> np.ndarray | None:
         """(frames, 3, 3)"""
         pose = self._pose(name)
-        return None if pose is None else matrices(pose[:, 3:])
+        # Who publishes positions only leaves the quaternion at 0.
+        if pose is None or not np.linalg.norm(pose[:, 3:], axis=1).all():
+            return None
+        return matrices(pose[:, 3:])
 
     def touching(self, one: str, other: str) -> np.ndarray | None:
         """(frames,) bool; a region counts as the thing whose name it begins with."""
         place = self._contacts.get(frozenset((self.owner(one), self.owner(other))))
         if place is None:
             return None
-        return self._values(place[0])[:, place[1]] > 0.5
+        column = self._values(place[0])[:, place[1]]
+        return column > 0.5 if np.isfinite(column).all() else None
 
     def owner(self, name: str) -> str:
         """The longest name of a thing with contacts that a name begins with, itself included."""
@@ -88,7 +92,8 @@ class Readings:
     @cached_property
     def hand_m(self) -> np.ndarray | None:
         """(frames, 3): the end effector's place; None where there are several or none."""
-        channels = [c for c in find_channels(self.episode.streams) if c.role == "motion" and len(c.columns) == 3]
+        streams = self.episode.streams
+        channels = [c for c in find_channels(streams) if c.role == "motion" and is_place(streams[c.stream], c)]
         if len({c.side for c in channels}) != 1:
             return None
         return self._values(channels[0].stream)[:, channels[0].columns]

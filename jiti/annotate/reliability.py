@@ -1,21 +1,22 @@
 """The reliability plot: how often verdicts of each confidence are right."""
 
 import io
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
-
-from jiti.errors import UsageError
 
 if TYPE_CHECKING:
     from jiti.annotate.evaluate import Evaluation
 
 
+def can_plot() -> bool:
+    """Whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
+
+
 def plot_png(evaluation: "Evaluation") -> bytes:
-    """A panel a criterion that has verdicts, and one for all. Raises UsageError without matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("the reliability plot needs matplotlib. Run: pip install 'jiti[vlm]'") from error
+    """A panel a criterion that has verdicts, and one for all. Needs matplotlib (`can_plot`)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
     shown = [s for s in evaluation.scores if s.bins] or [evaluation.scores[-1]]
     figure = Figure(figsize=(3.2 * len(shown), 3.6), layout="constrained")

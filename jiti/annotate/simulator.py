@@ -6,7 +6,7 @@ import numpy as np
 
 from jiti.annotate.segments import Segment
 from jiti.annotate.window import proposed_window
-from jiti.episodes.episode import Episode, numbers
+from jiti.episodes.episode import Episode, loss, numbers
 from jiti.errors import SourceError
 from jiti.tasks.goal import parse_goal
 from jiti.tasks.judge import MEASURES, PREDICATES, Trace, Verdict, judge
@@ -26,8 +26,11 @@ def propose_from_simulator(episode: Episode, task: Task) -> list[Segment]:
     """A window of `DEFAULT_WINDOW_FRAMES` that ends where each ITC of a task was decided, with the trace's verdict.
 
     All have status `proposed` and source `sim`; the rationale says why, in words. ITCs that have no goal are left to
-    people. Raises SourceError when the recording has no trace, CatalogueError when its trace lacks a predicate.
+    people. Raises SourceError when the recording has no trace or lacks a part, CatalogueError when the trace lacks a
+    predicate.
     """
+    if (missing := loss(episode)) is not None:
+        raise SourceError(f"{missing}. How it ended is not known, so nothing is judged.")
     trace, time_ns = read_trace(episode)
     return [_segment(episode, itc, judge(parse_goal(itc.goal), trace), time_ns) for itc in task.itcs if itc.goal]
 

@@ -163,6 +163,11 @@ class EpisodeReader(Protocol):
         ...
 
 
+def loss(episode: Episode) -> Problem | None:
+    """A problem for which a part of the recording is missing, so that what it seems to end with may not be its end."""
+    return next((problem for problem in episode.problems if problem.severity == "error"), None)
+
+
 def numbers(episode: Episode, stream: str) -> tuple[np.ndarray, np.ndarray]:
     """All of one numeric stream: times (N,) int64 in nanoseconds and values (N, size) float64."""
     batches = [b for b in episode.read([stream]) if isinstance(b, NumericBatch)]

@@ -56,33 +56,36 @@ class Verdict:
     """In a sentence, for a person."""
 
 
-def judge(goal: Goal, trace: Trace) -> Verdict:
-    """The verdict on a whole episode. Raises CatalogueError when the trace lacks a predicate of the goal."""
+def judge(goal: Goal, trace: Trace, *, release_steps: int = RELEASE_STEPS) -> Verdict:
+    """The verdict on a whole episode; `release_steps` without contact let a thing go.
+
+    Raises CatalogueError when the trace lacks a predicate of the goal.
+    """
     match goal:
         case And(parts):
-            verdicts = [judge(part, trace) for part in parts]
+            verdicts = [judge(part, trace, release_steps=release_steps) for part in parts]
             violated = [v for v in verdicts if not v.satisfied]
             return min(violated, key=lambda v: v.step) if violated else max(verdicts, key=lambda v: v.step)
         case Until(stays, until):
-            return _until(stays, until, trace)
+            return _until(stays, until, trace, release_steps)
         case AtRelease(what):
-            return _at_release(what, trace)
+            return _at_release(what, trace, release_steps)
         case AtEnd(what):
-            return _at_end(what, trace)
+            return _at_end(what, trace, release_steps)
         case Always(what):
             return _always(what, trace)
 
 
-def releases(grasping: np.ndarray) -> list[int]:
+def releases(grasping: np.ndarray, release_steps: int = RELEASE_STEPS) -> list[int]:
     """Last steps of contact before each time that a thing was let go; contact (steps,) bool, flickers bridged."""
     held = [*np.flatnonzero(grasping).tolist(), len(grasping)]
-    return [a for a, b in pairwise(held) if b - a > RELEASE_STEPS]
+    return [a for a, b in pairwise(held) if b - a > release_steps]
 
 
-def _until(stays: Atom, until: Atom, trace: Trace) -> Verdict:
+def _until(stays: Atom, until: Atom, trace: Trace, release_steps: int) -> Verdict:
     if not trace.of(stays).any():
         return Verdict(False, trace.last, f"{stays} never held.")
-    ends = releases(trace.of(stays))
+    ends = releases(trace.of(stays), release_steps)
     if not ends:
         return Verdict(False, trace.last, f"{stays} still held at the end.")
     step = ends[0]
@@ -91,23 +94,23 @@ def _until(stays: Atom, until: Atom, trace: Trace) -> Verdict:
     return Verdict(False, step, f"{stays} ended before {until} held.")
 
 
-def _at_release(what: Atom, trace: Trace) -> Verdict:
-    ends = releases(trace.of(what.grasp))
+def _at_release(what: Atom, trace: Trace, release_steps: int) -> Verdict:
+    ends = releases(trace.of(what.grasp), release_steps)
     if not ends:
         return Verdict(False, trace.last, f"{what.arguments[0]} was never grasped and let go.")
     holds = bool(trace.of(what)[ends[-1]])
     return Verdict(holds, ends[-1], f"{what} {'held' if holds else 'did not hold'} when the hand let go.")
 
 
-def _at_end(what: Atom, trace: Trace) -> Verdict:
+def _at_end(what: Atom, trace: Trace, release_steps: int) -> Verdict:
     """Decided when the hand let go of it, where it was ever held, or when it was undone after that; else since when it
     was so."""
     seen = trace.of(what)
     holds = bool(seen[-1])
-    ends = releases(trace.holds[str(what.grasp)]) if str(what.grasp) in trace.holds else []
-    after = np.flatnonzero(seen[ends[-1] + RELEASE_STEPS :]) if ends else np.empty(0, np.int64)
+    ends = releases(trace.holds[str(what.grasp)], release_steps) if str(what.grasp) in trace.holds else []
+    after = np.flatnonzero(seen[ends[-1] + release_steps :]) if ends else np.empty(0, np.int64)
     if ends and not holds and len(after):
-        step = ends[-1] + RELEASE_STEPS + int(after[-1]) + 1
+        step = ends[-1] + release_steps + int(after[-1]) + 1
     elif ends:
         step = ends[-1]
     elif holds:

@@ -36,10 +36,6 @@ class Prompt:
     chosen: str = ""
     """Key of the schema whose value is a choice: the probability of its first token is wanted."""
 
-    @property
-    def pictures(self) -> tuple[Picture, ...]:
-        return tuple(part for part in self.parts if isinstance(part, Picture))
-
 
 @dataclass(frozen=True, slots=True)
 class Usage:

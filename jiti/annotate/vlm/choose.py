@@ -25,26 +25,37 @@ class Wish:
 def choose(wish: Wish, *, asked: bool = True) -> Settings:
     """A server where an address is given or one runs at vLLM's usual one, else a model in this process.
 
-    With `asked` off, nothing is connected to: for estimates. Raises UsageError that says which model to start and how.
+    With `asked` off, for estimates, a server need not be there. Raises UsageError that says which model to start and
+    how.
     """
-    url = wish.url or os.environ.get(URL_VARIABLE, "")
-    model = wish.model or ""
-    if not url and model:
-        if Path(model).is_dir() or "/" in model:
-            _check_installed()
-            return _settings(wish, "", str(Path(model).resolve()) if Path(model).is_dir() else model)
-        raise UsageError(
-            f"--vlm-model {model} is neither a folder nor a Hub id such as nvidia/Cosmos-Reason2-2B; for a model of a "
-            "server give its address with --vlm-url."
-        )
-    url = url or DEFAULT_URL
-    if asked and not model:
-        model = find_model(url)
-    return _settings(wish, url, model)
+    model, known = wish.model or "", os.environ.get(URL_VARIABLE, "")
+    if not wish.url and model and (Path(model).is_dir() or not known):
+        if not Path(model).is_dir() and "/" not in model:
+            raise UsageError(
+                f"--vlm-model {model} is neither a folder nor a Hub id such as nvidia/Cosmos-Reason2-2B; for a model "
+                "of a server give its address with --vlm-url."
+            )
+        _check_installed()
+        return _settings(wish, "", str(Path(model).resolve()) if Path(model).is_dir() else model)
+    url = wish.url or known or DEFAULT_URL
+    try:
+        return _settings(wish, url, find_model(url, model))
+    except UsageError:
+        if asked:
+            raise
+        return _settings(wish, url, model)
 
 
 def _settings(wish: Wish, url: str, model: str) -> Settings:
-    return Settings(model, url, wish.cameras, wish.samples, wish.fuse, wish.concurrency, wish.timeout_s)
+    return Settings(
+        model,
+        url,
+        cameras=wish.cameras,
+        samples=wish.samples,
+        fuse=wish.fuse,
+        concurrency=wish.concurrency,
+        timeout_s=wish.timeout_s,
+    )
 
 
 def _check_installed() -> None:

@@ -42,7 +42,7 @@ def decide(
     chosen = next(a.value for a in asked if a.value.satisfied == satisfied)
     votes = sum(a.value.satisfied == satisfied for a in asked)
     said = f"{chosen.rationale} ({votes} of {samples} answers agree; {asker.model})"
-    return Decision(satisfied, round(confidence, 4), said, samples=samples)
+    return Decision(satisfied, round(confidence, 4), said, samples=samples, model=asker.model)
 
 
 def weigh(asked: list[Asked[Opinion]]) -> tuple[bool, float]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,10 +13,11 @@ from jiti.annotate.events import find_events
 from jiti.annotate.vlm.answers import Constraint, read_constraints
 from jiti.annotate.vlm.ask import Asker
 from jiti.annotate.vlm.backend import ModelFailed, Picture, Usage
+from jiti.annotate.vlm.cost import Estimate
 from jiti.annotate.vlm.prompts import LONGEST_DATA, discover_prompt
 from jiti.annotate.vlm.propose import cameras_of
 from jiti.annotate.vlm.sampling import overview_frames
-from jiti.annotate.vlm.sheets import contact_sheets
+from jiti.annotate.vlm.sheets import contact_sheets, sheet_size
 from jiti.durable import make_folder, write_atomic
 from jiti.episodes.episode import EpisodeReader
 from jiti.errors import CatalogueError, SourceError, UsageError
@@ -24,14 +25,15 @@ from jiti.tasks.catalogue_file import read_tasks
 
 VIDEOS = 3
 """Episodes of a task that are shown. Our choice: what varies between them is not what the task asks for."""
+LONGEST_SLUG = 60
 FRAMES = 12
 """Of each: one sheet."""
 PROPOSED_FILE = "tasks.proposed.toml"
-"""Beside the recordings; becomes a catalogue when a person has read it and calls it `tasks.toml`."""
+"""Beside the recordings; becomes a catalogue when a person has read it and copies it to `tasks.toml`."""
 
 _HEADER = """\
 # ITCs that {model} proposed: none counts until a person has read it. Delete what is wrong, mend what is nearly right,
-# then rename this file to tasks.toml beside the recordings, or pass it with --tasks.
+# then copy this file to tasks.toml beside the recordings, or pass it with --tasks.
 """
 
 
@@ -64,7 +66,9 @@ class Discovered:
         lines += [f"no answer: {failure}" for failure in self.failures[:20]]
         if self.failures:
             lines.append(f"{len(self.failures)} tasks failed; the same command tries these again.")
-        return "\n".join([*lines, f"Read and mend {self.path}, then rename it to tasks.toml beside the recordings."])
+        read, written = self.usage.prompt_tokens, self.usage.completion_tokens
+        lines.append(f"{self.usage.requests} requests; {read} tokens read, {written} written.")
+        return "\n".join([*lines, f"Read and mend {self.path}, then copy it to tasks.toml beside the recordings."])
 
     def to_json(self) -> str:
         """For `--json`."""
@@ -76,18 +80,21 @@ class Discovered:
 def tasks_in(reader: EpisodeReader) -> list[Unknown]:
     """The instructions of a source, each with episodes that show it. Raises UsageError when there is none."""
     shown: dict[str, list[str]] = {}
+    worded: dict[str, str] = {}
     for ref in reader.episodes():
         try:
             instruction = ref.task or reader.open(ref.episode_id).task
         except SourceError:
             continue
         if instruction and instruction.strip():
-            shown.setdefault(" ".join(instruction.split()), []).append(ref.episode_id)
+            # Case and punctuation do not make another task of a wording.
+            slug = _slug(instruction)
+            worded.setdefault(slug, " ".join(instruction.split()))
+            shown.setdefault(slug, []).append(ref.episode_id)
     if not shown:
         raise UsageError(f"no episode of {reader.title} has an instruction, so there is no task to find ITCs of.")
     return [
-        Unknown(f"proposed/{_slug(instruction)}", instruction, None, tuple(_spread(episodes)))
-        for instruction, episodes in shown.items()
+        Unknown(f"proposed/{slug}", worded[slug], None, tuple(_spread(episodes))) for slug, episodes in shown.items()
     ]
 
 
@@ -98,16 +105,19 @@ def discover(
     *,
     reader: EpisodeReader | None = None,
     cameras: tuple[str, ...] = (),
+    reviewed: Collection[str] = (),
     progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Discovered:
-    """Ask for the ITCs of each task that `path` does not have yet, and add them to it, one task after the other.
+    """Ask for the ITCs of each task that neither `path` nor `reviewed` has, and add them to `path` as they come.
 
-    Raises CatalogueError when the file is there and cannot be read, SaveFailed when the disk refuses.
+    Raises UsageError when there is nothing to show for it, CatalogueError when the file is there and cannot be read,
+    SaveFailed when the disk refuses.
     """
     text, known = _file(path, asker.model)
+    known |= set(reviewed)
     missing = [task for task in unknown if task.task_id not in known]
     failures: dict[str, str] = {}
-    tasks = constraints = 0
+    answers: dict[str, list[Constraint]] = {}
     work = partial(_ask, asker, reader, cameras)
     progress(0.0, f"asking about {len(missing)} tasks")
     for done, (task, found) in enumerate(run(work, missing, workers=asker.backend.concurrency), 1):
@@ -115,12 +125,32 @@ def discover(
         if isinstance(found, str | WorkerLost):
             failures[task.task_id] = str(found)
             continue
-        tasks, constraints = tasks + 1, constraints + len(found)
-        text += _task(task, found, asker.model)
+        answers[task.task_id] = found
+        # In the order of the tasks, whatever the order of the answers.
+        added = [_task(one, answers[one.task_id], asker.model) for one in missing if one.task_id in answers]
         make_folder(path.parent)
-        write_atomic(path, text.encode())
+        write_atomic(path, (text + "".join(added)).encode())
     said = tuple(f"{task.task_id}: {failures[task.task_id]}" for task in missing if task.task_id in failures)
-    return Discovered(path, tasks, constraints, len(unknown) - len(missing), said, asker.take_usage())
+    if said and not answers and not path.exists():
+        raise UsageError(f"no ITCs were proposed, and nothing was written: {'; '.join(said[:3])}")
+    count = sum(len(found) for found in answers.values())
+    return Discovered(path, len(answers), count, len(unknown) - len(missing), said, asker.take_usage())
+
+
+def estimate_tasks(
+    unknown: Sequence[Unknown], path: Path, reader: EpisodeReader | None = None, reviewed: Collection[str] = ()
+) -> Estimate:
+    """What `discover` would cost at most: a request a task, with a sheet of each episode that shows it."""
+    _, known = _file(path, "")
+    total = Estimate(what="tasks", episodes=len(unknown))
+    for task in unknown:
+        if task.task_id in known or task.task_id in reviewed:
+            total.done += 1
+            continue
+        # Twelve frames of 4:3; other shapes differ by a third.
+        sizes = [size for _ in (task.episodes if reader else ()) for size in sheet_size(640, 480, FRAMES)]
+        total.add(discover_prompt(task.instruction, []), sizes)
+    return total
 
 
 def _ask(asker: Asker, reader: EpisodeReader | None, cameras: tuple[str, ...], task: Unknown) -> list[Constraint] | str:
@@ -130,6 +160,8 @@ def _ask(asker: Asker, reader: EpisodeReader | None, cameras: tuple[str, ...], t
         return asker.ask(discover_prompt(task.instruction, sheets), read_constraints).value
     except (ModelFailed, SourceError) as error:
         return str(error)
+    except (OSError, ValueError) as error:  # of a picture that no one thought of
+        return f"{type(error).__name__}: {error}"
 
 
 def _sheets(reader: EpisodeReader, episode_id: str, cameras: tuple[str, ...]) -> Iterator[Picture]:
@@ -177,9 +209,13 @@ def _on_one_line(value: str) -> str:
 
 
 def _slug(instruction: str) -> str:
-    slug = re.sub(r"[^a-z0-9]+", "-", instruction.lower()).strip("-")[:80].strip("-")
-    # Of words without Latin letters nothing is left; their digest tells them apart, and is the same in every run.
-    return slug or f"task-{hashlib.sha256(instruction.encode()).hexdigest()[:8]}"
+    """An id: the words, and a digest that is the same in every run where letters were cut or left out."""
+    plain = " ".join(re.split(r"[\W_]+", instruction.lower())).strip()
+    slug = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
+    if slug.replace("-", " ") == plain and len(slug) <= LONGEST_SLUG:
+        return slug
+    digest = hashlib.sha256(plain.encode("utf-8", "replace")).hexdigest()[:8]
+    return f"{slug[:LONGEST_SLUG].strip('-') or 'task'}-{digest}"
 
 
 def _spread(episodes: Sequence[str]) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jiti.annotate.channels import Channel, find_channels, words
+from jiti.annotate.channels import Channel, find_channels, is_place
 from jiti.annotate.events import gripper_opening
 from jiti.episodes.episode import Episode, numbers
 from jiti.tasks.task import Criterion
@@ -17,7 +17,7 @@ def fact_table(episode: Episode, frames: Sequence[int]) -> str:
     """Rows `time s | gripper open % | end effector x y z m`; empty where the recording has none of these."""
     channels = find_channels(episode.streams)
     grippers = [c for c in channels if c.role == "gripper"]
-    hands = [c for c in channels if c.role == "motion" and _is_place(episode, c)]
+    hands = [c for c in channels if c.role == "motion" and is_place(episode.streams[c.stream], c)]
     columns: list[tuple[str, list[str]]] = []
     for channel in grippers:
         values = _at_frames(episode, channel, frames, opening=True)
@@ -53,13 +53,6 @@ def _at_frames(episode: Episode, channel: Channel, frames: Sequence[int], *, ope
             return None
     held = np.searchsorted(time_ns, episode.clock.frame_ns[list(frames)], side="right") - 1
     return signal[np.maximum(held, 0)]
-
-
-def _is_place(episode: Episode, channel: Channel) -> bool:
-    """Whether its columns are x, y and z, in this order; three joints are none."""
-    names = episode.streams[channel.stream].names
-    last = [words(names[column])[-1:] for column in channel.columns if column < len(names)]
-    return last == [("x",), ("y",), ("z",)]
 
 
 def _side(channel: Channel) -> str:

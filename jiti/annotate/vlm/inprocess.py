@@ -3,6 +3,7 @@
 xgrammar holds it to the schema: at each step, tokens that cannot go on to a fitting answer are ruled out.
 """
 
+import hashlib
 import io
 import json
 import threading
@@ -14,6 +15,8 @@ from typing import Any
 from jiti.annotate.vlm.backend import Answer, ModelFailed, Picture, Prompt, Token, Usage
 from jiti.errors import UsageError
 
+KEPT_GRAMMARS = 8
+"""Compiled schemas that are kept. Our choice: those of one episode's stages."""
 TOP = 5
 """Likeliest tokens that are kept at each place."""
 
@@ -31,7 +34,7 @@ class InProcessBackend:
         quiet = transformers.utils.logging
         quiet.disable_progress_bar()
         quiet.set_verbosity_error()
-        self.model = Path(name).name if Path(name).is_dir() else name
+        self.model = _identity(Path(name)) if Path(name).is_dir() else name
         device = "cuda" if torch.cuda.is_available() else "cpu"
         try:
             # No pickles: weights come as safetensors, and no code from the Hub is run.
@@ -72,7 +75,7 @@ class InProcessBackend:
             **inputs,
             max_new_tokens=prompt.max_tokens,
             logits_processor=LogitsProcessorList([self._held_to(prompt.schema)]),
-            output_scores=True,
+            output_logits=True,
             return_dict_in_generate=True,
             **({"do_sample": False} | sampling),
         )
@@ -81,7 +84,7 @@ class InProcessBackend:
         stops = self._stops()
         cut = not ids or ids[-1] not in stops
         ids = [i for i in ids if i not in stops]
-        tokens = tuple(self._token(i, scores[0]) for i, scores in zip(ids, done.scores, strict=False))
+        tokens = tuple(self._token(i, scores[0]) for i, scores in zip(ids, done.logits, strict=False))
         return self._processor.tokenizer.decode(ids), cut, asked, tokens
 
     def _grammars(self) -> Any:
@@ -91,7 +94,7 @@ class InProcessBackend:
         size = self._model.config.get_text_config().vocab_size
         stops = sorted(self._stops())
         info = xgrammar.TokenizerInfo.from_huggingface(tokenizer, vocab_size=size, stop_token_ids=stops)
-        return xgrammar.GrammarCompiler(info)
+        return xgrammar.GrammarCompiler(info, cache_enabled=False)
 
     def _held_to(self, schema: Mapping[str, Any]) -> Any:
         """A processor of logits for one answer; the grammar behind it is compiled once."""
@@ -99,6 +102,8 @@ class InProcessBackend:
 
         text = json.dumps(schema, sort_keys=False)
         if text not in self._compiled:
+            if len(self._compiled) >= KEPT_GRAMMARS:  # every episode has frames, and a schema, of its own
+                self._compiled.clear()
             # Without free white space: a model that is not trained for JSON would go on with that for ever.
             self._compiled[text] = self._compiler.compile_json_schema(text, any_whitespace=False, separators=(",", ":"))
         return LogitsProcessor(self._compiled[text])
@@ -109,12 +114,19 @@ class InProcessBackend:
         return {stop for stop in stops if stop is not None}
 
     def _token(self, number: int, scores: Any) -> Token:
-        """The token that was taken and what else was likely, among those that the schema allowed."""
+        """The token that was taken and what the model would have said, before the schema and the temperature."""
         logprobs = scores.float().log_softmax(-1)
         values, numbers = logprobs.topk(min(TOP, len(logprobs)))
         decode = self._processor.tokenizer.decode
         others = {decode([n]): v for v, n in zip(values.tolist(), numbers.tolist(), strict=True) if v > -1e30}
         return Token(decode([number]), float(logprobs[number]), others)
+
+
+def _identity(folder: Path) -> str:
+    """The folder's name, and a digest that another model in a folder of that name does not have."""
+    files = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".safetensors")]
+    state = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+    return f"{folder.name}@{hashlib.sha256(repr(state).encode()).hexdigest()[:8]}"
 
 
 def to_inputs(processor: Any, prompt: Prompt) -> Any:

@@ -23,7 +23,10 @@ class Decision:
     frame: int | None = None
     """Where numbers decided it; None where the span stands as the model gave it."""
     samples: int = 0
+    model: str = ""
+    """That gave it."""
     failure: str = ""
+    """Why the last try had no answer; what stands beside it is from an earlier one."""
 
 
 UNDECIDED = Decision(None, None, "")
@@ -35,13 +38,16 @@ class ItcNotes:
     """One ITC of an episode, through both stages."""
 
     located: str = ""
-    """What stage two was asked with (`settings.key`); empty before it."""
+    """What stage two was asked with (`Settings.locate_key`); empty before it."""
     spans: list[Span] = field(default_factory=list)
     located_failure: str = ""
+    """Why the last try had no answer; the spans are then from an earlier one."""
     decided: str = ""
-    """What stage three was asked with; empty before it."""
+    """What stage three was asked with (`Settings.decide_key`); empty before it."""
     decisions: list[Decision] = field(default_factory=list)
     """One a span."""
+    measured: Decision | None = None
+    """Where numbers decided it; then the model was not asked."""
 
     @property
     def failures(self) -> list[str]:
@@ -62,8 +68,6 @@ class Notes:
     """One episode."""
 
     fingerprint: str
-    model: str = ""
-    """That was asked last."""
     itcs: dict[str, ItcNotes] = field(default_factory=dict)
 
 
@@ -76,7 +80,7 @@ def read_notes(path: Path, fingerprint: str) -> Notes:
     """Empty ones for a recording that has changed, or a file that cannot be read: the model is asked again."""
     try:
         row = json.loads(path.read_bytes())
-        notes = Notes(row["fingerprint"], row["model"], {name: _itc(itc) for name, itc in row["itcs"].items()})
+        notes = Notes(row["fingerprint"], {name: _itc(itc) for name, itc in row["itcs"].items()})
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return Notes(fingerprint)
     return notes if notes.fingerprint == fingerprint else Notes(fingerprint)
@@ -91,4 +95,5 @@ def write_notes(path: Path, notes: Notes) -> None:
 def _itc(row: dict[str, Any]) -> ItcNotes:
     spans = [Span(**span) for span in row["spans"]]
     decisions = [Decision(**decision) for decision in row["decisions"]]
-    return ItcNotes(row["located"], spans, row["located_failure"], row["decided"], decisions)
+    measured = row["measured"] and Decision(**row["measured"])
+    return ItcNotes(row["located"], spans, row["located_failure"], row["decided"], decisions, measured or None)

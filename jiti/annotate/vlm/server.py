@@ -72,10 +72,8 @@ class ServerBackend:
                 before = options
             except openai.OpenAIError as error:
                 raise ModelFailed(self._said(error)) from None
-            except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
-                raise ModelFailed(
-                    f"{self._url} answered something that is no chat completion: {error!s:.200}"
-                ) from None
+            except (ValueError, TypeError, AttributeError, KeyError, RecursionError, OverflowError) as error:
+                raise ModelFailed(f"{self._url} answered no chat completion: {self._scrubbed(error)}") from None
 
     @staticmethod
     def _optional(prompt: Prompt) -> dict[str, dict[str, Any]]:
@@ -106,7 +104,8 @@ class ServerBackend:
             raise ValueError("its content is no text")
         tokens = () if len(text) > LONGEST_ANSWER or choice.logprobs is None else _tokens(choice.logprobs.content or ())
         usage = done.usage
-        spent = Usage(1, usage.prompt_tokens, usage.completion_tokens, seconds) if usage else Usage(1, seconds=seconds)
+        read, written = (usage.prompt_tokens, usage.completion_tokens) if usage else (0, 0)
+        spent = Usage(1, int(read or 0), int(written or 0), seconds)
         cut = choice.finish_reason == "length" or len(text) > LONGEST_ANSWER
         return Answer(text[:LONGEST_ANSWER], cut, spent, tokens)
 
@@ -114,9 +113,7 @@ class ServerBackend:
         """An error for a person, in one line, without the key."""
         import openai
 
-        said = " ".join(str(error).split())[:300]
-        if self._key:
-            said = said.replace(self._key, "***")
+        said = self._scrubbed(error)
         if isinstance(error, openai.APITimeoutError):
             said = "no answer in time; --vlm-timeout gives it longer"
         elif isinstance(error, openai.APIConnectionError):
@@ -125,15 +122,33 @@ class ServerBackend:
             said = f"it wants another key; set {KEY_VARIABLE}"
         return f"{self._url}, model {self.model}: {said}"
 
+    def _scrubbed(self, error: Exception) -> str:
+        """What an error says, without the key, then cut: a key is not to be cut in two."""
+        said = " ".join(str(error).split())
+        return (said.replace(self._key, "***") if self._key else said)[:300]
 
-def find_model(url: str, timeout_s: float = 5.0) -> str:
-    """The one model that a server has. Raises UsageError when it cannot be asked, or has several to choose from."""
+
+def find_model(url: str, wanted: str = "", timeout_s: float = 5.0) -> str:
+    """The model of that name, or the only one that a server has.
+
+    Raises UsageError when the server cannot be asked, or has several to choose from. Of one that does not list its
+    models, a name that was given is believed.
+    """
+    _check_address(url)
     client = _client(url, _api_key(url), timeout_s, 0)
     import openai
 
     shown = _without_secrets(url)
     try:
         names = [model.id for model in client.models.list().data]
+    except (openai.AuthenticationError, openai.PermissionDeniedError):
+        raise UsageError(f"{shown} wants another key; set {KEY_VARIABLE} in the environment.") from None
+    except openai.APIStatusError as error:
+        if wanted:
+            return wanted
+        raise UsageError(
+            f"{shown} does not list its models ({error.status_code}); name one with --vlm-model."
+        ) from None
     except (openai.OpenAIError, ValueError, TypeError, AttributeError) as error:
         raise UsageError(
             f"no model server answers at {shown} ({type(error).__name__}). Start one, for example:\n"
@@ -141,11 +156,25 @@ def find_model(url: str, timeout_s: float = 5.0) -> str:
             "and run this again; or name another with --vlm-url URL; or run a model in this process with "
             "--vlm-model nvidia/Cosmos-Reason2-2B."
         ) from None
+    if wanted:
+        return wanted
     if len(names) != 1:
         raise UsageError(
             f"{shown} has {len(names)} models; choose one with --vlm-model. It has: {', '.join(names[:20]) or 'none'}"
         )
     return names[0]
+
+
+def _check_address(url: str) -> None:
+    try:
+        parts = urlsplit(url)
+        good = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port is None or parts.port > 0)
+    except ValueError:
+        good = False
+    if not good:
+        raise UsageError(
+            f"--vlm-url {url.rpartition('@')[2].partition('?')[0]} is no address; it looks like {DEFAULT_URL}"
+        )
 
 
 def _client(url: str, key: str, timeout_s: float, retries: int) -> Any:
@@ -154,8 +183,6 @@ def _client(url: str, key: str, timeout_s: float, retries: int) -> Any:
     except ImportError as error:
         raise UsageError("asking a model server needs the openai client. Run: pip install 'jiti[vlm]'") from error
 
-    if urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).hostname:
-        raise UsageError(f"--vlm-url {_without_secrets(url)} is no address; it looks like {DEFAULT_URL}")
     return openai.OpenAI(base_url=url, api_key=key or "none", timeout=timeout_s, max_retries=retries)
 
 

@@ -2,10 +2,13 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from jiti.annotate.vlm.answers import Span
 from jiti.annotate.vlm.backend import Backend
 from jiti.annotate.vlm.prompts import VERSION
+from jiti.annotate.vlm.server import CONCURRENCY, RETRIES, TIMEOUT_S, ServerBackend
 from jiti.errors import UsageError
 from jiti.tasks.task import ITC
 
@@ -28,9 +31,9 @@ class Settings:
     samples: int = SAMPLES
     fuse: bool = True
     """Whether numbers decide where they can."""
-    concurrency: int = 8
-    timeout_s: float = 120.0
-    retries: int = 5
+    concurrency: int = CONCURRENCY
+    timeout_s: float = TIMEOUT_S
+    retries: int = RETRIES
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= 50:
@@ -39,8 +42,6 @@ class Settings:
     def backend(self) -> Backend:
         """The model, loaded or connected to. Raises UsageError."""
         if self.url:
-            from jiti.annotate.vlm.server import ServerBackend
-
             return ServerBackend(
                 self.url, self.model, concurrency=self.concurrency, timeout_s=self.timeout_s, retries=self.retries
             )
@@ -52,9 +53,10 @@ class Settings:
         """What stage two of an ITC depends on."""
         return _key(VERSION, self.model, instruction, itc.statement, itc.check, itc.criterion, cameras)
 
-    def decide_key(self, located: str, itc: ITC) -> str:
+    def decide_key(self, instruction: str, itc: ITC, cameras: tuple[str, ...], spans: Sequence[Span]) -> str:
         """What stage three depends on."""
-        return _key(located, self.samples, self.fuse, itc.goal if self.fuse else "")
+        places = [(span.start_s, span.end_s) for span in spans]
+        return _key(self.locate_key(instruction, itc, cameras), self.samples, places)
 
 
 def _key(*parts: object) -> str:

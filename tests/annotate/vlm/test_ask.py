@@ -218,7 +218,7 @@ def test_a_cache_that_cannot_be_written_says_so(tmp_path):
         Asker(Scripted(GOOD), AnswerCache(tmp_path / "file")).ask(PROMPT, read_opinion)
 
 
-SHEET = PROMPT.pictures[0]
+SHEET = next(part for part in PROMPT.parts if isinstance(part, Picture))
 OTHERWISE: dict[str, tuple[str, Prompt]] = {
     "model": ("other", PROMPT),
     "system": ("tiny", replace(PROMPT, system="You judge!")),

@@ -15,7 +15,7 @@ from jiti.annotate.vlm.choose import Wish
 from jiti.annotate.vlm.notes import notes_path
 from jiti.annotate.web.app import create_app
 from jiti.annotate.web.session import Session, open_session
-from jiti.errors import CatalogueError, UsageError
+from jiti.errors import CatalogueError, SaveFailed, UsageError
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.catalogue_file import read_tasks
 from tests.builders.demonstration import OPENS, write_demonstration
@@ -51,7 +51,7 @@ def quiet(_share: float, _what: str) -> None:
 
 
 def label(folder: Path, url: str, *, part=None, **wish):
-    request = Request("vlm", Wish(url=url, model="tiny", **{"samples": 2, **wish}), part)
+    request = Request("vlm", Wish(url=url, **{"model": "tiny", "samples": 2, **wish}), part)
     return run_request(request, session_of(folder), quiet)
 
 
@@ -163,7 +163,7 @@ def test_numbers_decide_and_are_not_overruled(tmp_path):
 
     with scripted(contrary) as server:
         label(tmp_path, server.url)
-    assert {stage(r) for r in server.requests} == {"segments"}
+    assert server.requests == []
     rows = {row["episode_id"].split(".")[0]: row for row in rows_of(tmp_path)}
     assert {name: row["reward"] for name, row in rows.items()} == {"high": 0, "low": 1}
     for row in rows.values():
@@ -171,7 +171,7 @@ def test_numbers_decide_and_are_not_overruled(tmp_path):
         assert abs(row["end_frame"] - OPENS) <= 8
     with scripted(contrary) as server:
         label(tmp_path, server.url, fuse=False)
-    assert {stage(r) for r in server.requests} == {"verdict"}
+    assert {stage(r) for r in server.requests} == {"segments", "verdict"}
     assert [row["reward"] for row in rows_of(tmp_path)] == [1, 1]
 
 
@@ -219,20 +219,25 @@ def test_an_estimate_is_what_the_run_then_asks(tmp_path):
         assert server.requests == []
         run_request(request, session_of(tmp_path), quiet)
         after = estimate_request(request, session_of(tmp_path), quiet)
-    assert told.requests == len(server.requests) == 5
+    assert told.requests == len(server.requests) == 4
     pictures = sum(part["type"] == "image_url" for r in server.requests for part in r["messages"][1]["content"])
     assert told.pictures == pictures
     assert told.by_numbers == 1
     assert told.cost is not None
     assert told.cost > 0
-    assert "5 requests" in str(told)
+    assert "4 requests" in str(told)
     assert (after.requests, after.done) == (0, 2)
 
 
 def test_an_estimate_needs_no_server(tmp_path):
     write_demonstration(tmp_path / "a.mcap")
-    request = Request("vlm", Wish(url="http://127.0.0.1:9/v1"))
-    assert estimate_request(request, session_of(tmp_path), quiet).requests == 1
+    request = Request("vlm", Wish(url="http://127.0.0.1:9/v1", samples=3))
+    assert estimate_request(request, session_of(tmp_path), quiet).requests == 0
+    request = Request("vlm", Wish(url="http://127.0.0.1:9/v1", samples=3, fuse=False))
+    assert estimate_request(request, session_of(tmp_path), quiet).requests == 4
+    tasks = Request("vlm", Wish(url="http://127.0.0.1:9/v1"), "itcs")
+    told = estimate_request(tasks, session_of(tmp_path), quiet)
+    assert (told.requests, told.pictures) == (1, 1)
 
 
 def test_constraints_of_the_sources_tasks_go_to_a_file_for_review(tmp_path):
@@ -272,7 +277,7 @@ def test_constraints_of_all_of_liberos_tasks(tmp_path):
     assert len(tasks) == len({bddl for bddl, _ in tasks}) >= 130
     assert dict(tasks)["libero_goal/put_the_bowl_on_the_plate"] == "Put the bowl on the plate"
     with scripted(lambda _r, count: Reply(CONSTRAINTS if count != 3 else "no", 200 if count != 3 else 400)) as server:
-        request = Request("vlm", Wish(url=server.url, model="tiny"), out=tmp_path / "libero.toml")
+        request = Request("vlm", Wish(url=server.url, model="tiny"), part="itcs", out=tmp_path / "libero.toml")
         done = discover_libero(request, tasks[:12], tmp_path / "labels", quiet)
         assert (done.tasks, len(done.failures)) == (11, 1)
         again = discover_libero(request, tasks[:12], tmp_path / "labels", quiet)
@@ -327,3 +332,59 @@ def test_confidence_is_fitted_to_checked_verdicts_and_applied(tmp_path):
     assert all(path.is_file() for path in done.files)
     calibrated = read_calibration(tmp_path / "labels", "tiny")
     assert (calibrated.verdicts, calibrated.temperature) == (24, done.temperatures["tiny"])
+
+
+def test_a_model_that_fails_later_takes_nothing_away(tmp_path):
+    """Another model, more samples, a server that is gone: what was proposed before stays."""
+    write_demonstration(tmp_path / "a.mcap", poses=False)
+    with scripted() as server:
+        label(tmp_path, server.url)
+    before = rows_of(tmp_path)
+    with scripted(lambda _r, _n: Reply("down", 400)) as server:
+        for wish in ({"model": "other"}, {"samples": 4}):
+            done = label(tmp_path, server.url, **wish)
+            assert len(done.failures) >= 1
+            assert rows_of(tmp_path) == before
+    with scripted() as server:
+        assert label(tmp_path, server.url, model="other").failures == ()
+    assert len(server.requests) == 3
+    assert "other" in rows_of(tmp_path)[0]["rationale"]
+
+
+def test_a_verdict_is_asked_anew_of_another_model(tmp_path):
+    write_demonstration(tmp_path / "a.mcap", poses=False)
+    with scripted() as server:
+        label(tmp_path, server.url)
+        label(tmp_path, server.url, part="verdicts", model="other")
+    assert [request["model"] for request in server.requests] == ["tiny"] * 3 + ["other"] * 2
+
+
+def test_wordings_that_differ_in_case_are_one_task(tmp_path):
+    wordings = ["Pick up the cube.", "pick up the cube", "pick up the " + "very " * 30 + "big cube"]
+    wordings += [wordings[-1].replace("big", "small"), "拿起立方体", "放下立方体"]
+    for k, wording in enumerate(wordings):
+        write_demonstration(tmp_path / f"{k}.mcap", instruction=wording, task=None, steps=30)
+    with scripted(lambda _r, _n: Reply(CONSTRAINTS)) as server:
+        assert label(tmp_path, server.url, part="itcs").tasks == 5
+        assert label(tmp_path, server.url, part="itcs").kept == 5
+    assert len(read_tasks(tmp_path / "tasks.proposed.toml")) == 5
+
+
+def test_tasks_that_were_reviewed_are_not_asked_about_again(tmp_path):
+    write_demonstration(tmp_path / "a.mcap", instruction="stack the cups", task=None)
+    with scripted(lambda _r, _n: Reply(CONSTRAINTS)) as server:
+        label(tmp_path, server.url, part="itcs")
+        (tmp_path / "tasks.proposed.toml").rename(tmp_path / "tasks.toml")
+        assert label(tmp_path, server.url, part="itcs").kept == 1
+    assert len(server.requests) == 1
+
+
+def test_a_disk_that_refuses_ends_the_run(tmp_path, monkeypatch):
+    write_demonstration(tmp_path / "a.mcap", poses=False)
+
+    def full(path, *_args, **_options):
+        raise SaveFailed(f"{path} could not be saved: the disk is full")
+
+    monkeypatch.setattr("jiti.annotate.vlm.cache.write_atomic", full)
+    with scripted() as server, pytest.raises(SaveFailed):
+        label(tmp_path, server.url)

@@ -83,7 +83,7 @@ def test_a_recording_changes_nothing_in_a_prompt_but_its_data(evil):
         assert len(words) < len(words_of(plain)) + 2 * LONGEST_DATA
         expected = words_of(plain).replace(quoted("put it away"), quoted(evil))
         assert words == expected.replace(quoted("/camera/front"), quoted(evil))
-        assert prompt.pictures == plain.pictures
+        assert [p for p in prompt.parts if not isinstance(p, str)] == [p for p in plain.parts if not isinstance(p, str)]
         assert (prompt.system, prompt.schema, prompt.max_tokens) == (plain.system, plain.schema, plain.max_tokens)
 
 

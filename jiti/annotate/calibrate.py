@@ -35,15 +35,17 @@ def calibrate(
             continue
         notes = read_notes(notes_path(labels_dir, ref.episode_id), episode.fingerprint)
         by_itc: dict[str, list[Segment]] = {}
-        measured = {name for name, itc in notes.itcs.items() if any(d.by != "vlm" for d in itc.decisions)}
-        for segment in segments_of(notes, episode, catalogue.for_episode(episode), Calibration()):
-            if segment.itc_id not in measured:
+        models = {
+            name: itc.decisions[0].model for name, itc in notes.itcs.items() if itc.decisions and not itc.measured
+        }
+        for segment in segments_of(notes, episode, catalogue.for_episode(episode), lambda _model: Calibration()):
+            if segment.itc_id in models:
                 by_itc.setdefault(segment.itc_id, []).append(segment)
         for itc_id, segments in by_itc.items():
             matches, _, _ = match(reference.get((ref.episode_id, itc_id), ()), segments)
             for pair in verdict_pairs(m for m in matches if m.iou >= FOUND_IOU):
                 if pair.b.confidence is not None:
-                    sure.setdefault(notes.model, []).append((pair.b.confidence, pair.a.reward == pair.b.reward))
+                    sure.setdefault(models[itc_id], []).append((pair.b.confidence, pair.a.reward == pair.b.reward))
     fitted = {model: fit(*zip(*pairs, strict=True)) for model, pairs in sure.items() if len(pairs) >= LEAST}
     if not fitted:
         counts = ", ".join(f"{model} {len(pairs)}" for model, pairs in sure.items()) or "none"
