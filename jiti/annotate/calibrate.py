@@ -42,8 +42,8 @@ def calibrate(
             if segment.itc_id in models:
                 by_itc.setdefault(segment.itc_id, []).append(segment)
         for itc_id, segments in by_itc.items():
-            matches, _, _ = match(reference.get((ref.episode_id, itc_id), ()), segments)
-            for pair in verdict_pairs(m for m in matches if m.iou >= FOUND_IOU):
+            matches, _, _ = match(reference.get((ref.episode_id, itc_id), ()), segments, least_iou=FOUND_IOU)
+            for pair in verdict_pairs(matches):
                 if pair.b.confidence is not None:
                     sure.setdefault(models[itc_id], []).append((pair.b.confidence, pair.a.reward == pair.b.reward))
     fitted = {model: fit(*zip(*pairs, strict=True)) for model, pairs in sure.items() if len(pairs) >= LEAST}

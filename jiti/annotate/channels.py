@@ -24,6 +24,8 @@ NOT_POSITION = frozenset(
 )
 NOT_PLACE = frozenset({"orientation", "rotation", "rot", "quat", "quaternion", "angular", "rpy", "euler"})
 NOT_ROBOT = frozenset({"eye", "camera", "cube", "object", "objects", "environment", "index", "timestamp"})
+JUDGED = frozenset({"predicates", "measures"})
+"""What a simulator made of a state, and not the state."""
 SIDES = frozenset({"left", "right"})
 
 MAX_SWITCHES = 8
@@ -81,6 +83,8 @@ def is_place(stream: Stream, channel: Channel) -> bool:
 def _of_stream(stream: Stream) -> Iterable[Channel]:
     """Grippers, contacts and forces of one stream."""
     outer = set(words(stream.name))
+    if outer & JUDGED:
+        return
     groups: dict[tuple[Role, str], list[int]] = {}
     inner = _component_words(stream)
     for column, own in enumerate(inner):

@@ -7,8 +7,10 @@ is done again.
 
 import logging
 import os
+import socket
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from itertools import islice
 from typing import Literal
 
@@ -75,6 +77,8 @@ def _on_ray[T, R](
         from ray import exceptions
     except ImportError as error:
         raise UsageError("--engine ray needs Ray. Run: pip install 'jiti[ray]'") from error
+    if address is not None:
+        _check_someone_answers(address)
     started = not ray.is_initialized()
     if started:
         try:
@@ -90,11 +94,12 @@ def _on_ray[T, R](
                 f"no Ray cluster at {address or 'this machine'}: {' '.join(str(error).split())[:200]}. Start one with "
                 "`ray start --head`, or leave --ray-address out."
             ) from error
+    under_way: dict[object, T] = {}
     try:
         slots = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
         shared, task = ray.put(work), ray.remote(max_retries=RAY_RETRIES)(_call)
         rest = iter(items)
-        under_way = {task.remote(shared, item): item for item in islice(rest, WAITING * slots)}
+        under_way.update({task.remote(shared, item): item for item in islice(rest, WAITING * slots)})
         while under_way:
             done, _ = ray.wait(list(under_way), num_returns=1)
             for reference in done:
@@ -109,8 +114,25 @@ def _on_ray[T, R](
                     result = WorkerLost(f"its worker was lost {RAY_RETRIES + 1} times ({type(error).__name__})")
                 yield item, result
     finally:
+        for reference in under_way:
+            with suppress(exceptions.RayError):
+                ray.cancel(reference)
         if started:
             ray.shutdown()
+
+
+def _check_someone_answers(address: str) -> None:
+    """Ray itself tries for a quarter of an hour."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
+        return  # "auto" and the like
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), 5).close()
+    except OSError as error:
+        raise UsageError(
+            f"no Ray cluster answers at {address} ({error}). Start one with `ray start --head`, or leave --ray-address "
+            "out."
+        ) from error
 
 
 def _call[T, R](work: Callable[[T], R], item: T) -> R:

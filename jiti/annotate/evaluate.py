@@ -105,7 +105,7 @@ class Evaluation:
         console = Console(markup=False, highlight=False)
         with console.capture() as captured:
             for table in self.tables():
-                console.print(table)
+                console.print(table, "", sep="\n")
             console.print(
                 f"ref., prop.: segments of {self.reference} and of {self.proposer}; F1 at temporal IoU {FOUND_IOU}; "
                 f"start, end: mean absolute error in frames; N, right: verdicts on both sides; ECE over {BINS} bins."
@@ -141,11 +141,10 @@ class Evaluation:
 
     def tables(self) -> "list[Table]":
         """For the terminal: our figures, and the paper's beside ours."""
-        from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
         title = f"{self.proposer} against {self.reference}, {self.episodes} episodes"
-        ours = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
+        ours = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
         ours.add_column("criterion", min_width=19)
         for heading in ("ref.", "prop.", "F1", "start", "end", "N", "right", "kappa", "ECE"):
             ours.add_column(heading, justify="right", no_wrap=True)
@@ -153,7 +152,9 @@ class Evaluation:
             figures = (s.f1, s.start_error, s.end_error, s.accuracy, s.kappa, s.ece)
             f1, start, end, right, kappa, ece = (_number(x) for x in figures)
             ours.add_row(s.name, str(s.reference), str(s.proposed), f1, start, end, str(s.verdicts), right, kappa, ece)
-        paper = Table(title="Beside the paper's (supplement, G.1 and G.2)", title_justify="left", box=SIMPLE_HEAD)
+        paper = Table(
+            title="Beside the paper's (supplement, G.1 and G.2)", title_justify="left", box=None, padding=(0, 2, 0, 0)
+        )
         for heading in ("what", "paper", "here", "N here"):
             paper.add_column(heading)
         kept = self.discovered
@@ -250,7 +251,7 @@ def save(evaluation: Evaluation, folder: Path) -> Evaluation:
 
 
 def _score(name: str, pairs: Sequence[tuple[Sequence[Segment], Sequence[Segment]]]) -> Scores:
-    matches = [m for left, right in pairs for m in match(left, right)[0] if m.iou >= FOUND_IOU]
+    matches = [m for left, right in pairs for m in match(left, right, least_iou=FOUND_IOU)[0]]
     judged = verdict_pairs(matches)
     counts = np.zeros((2, 2), np.int64)
     for m in judged:

@@ -34,17 +34,20 @@ def temporal_iou(a: Segment, b: Segment) -> float:
     return shared / (a.frame_count + b.frame_count - shared) if shared > 0 else 0.0
 
 
-def match(a: Sequence[Segment], b: Sequence[Segment]) -> tuple[list[Match], list[Segment], list[Segment]]:
+def match(
+    a: Sequence[Segment], b: Sequence[Segment], *, least_iou: float = 0.0
+) -> tuple[list[Match], list[Segment], list[Segment]]:
     """The matching of greatest total IoU between segments that overlap, then what is only in a, then only in b.
 
-    All segments are of one ITC of one episode. Segments far apart do not influence each other: each cluster of
-    overlapping ones is matched by itself.
+    Segments that overlap by less than `least_iou` are not matched. All are of one ITC of one episode. Segments far
+    apart do not influence each other: each cluster of overlapping ones is matched by itself.
     """
     matches: list[Match] = []
     only_a: list[Segment] = []
     only_b: list[Segment] = []
     for left, right in _clusters(a, b):
         iou = np.array([[temporal_iou(x, y) for y in right] for x in left]).reshape(len(left), len(right))
+        iou[iou < least_iou] = 0
         pairs = [(i, j) for i, j in assignment(iou) if iou[i, j] > 0]
         matches += [Match(left[i], right[j], float(iou[i, j])) for i, j in pairs]
         only_a += [x for i, x in enumerate(left) if i not in {i for i, _ in pairs}]

@@ -69,7 +69,7 @@ def decide_by_numbers(episode: Episode, itc: ITC, readings: Readings | None = No
 
 
 def _judged(goal: Goal, readings: Readings) -> Verdict | None:
-    """Three-valued: one part of an `And` that is violated violates all, whatever the others are."""
+    """Three-valued: one part that is violated violates all, whatever the others are."""
     if isinstance(goal, And):
         verdicts = [_judged(part, readings) for part in goal.parts]
         known = [v for v in verdicts if v is not None]
@@ -79,10 +79,11 @@ def _judged(goal: Goal, readings: Readings) -> Verdict | None:
         return max(known, key=lambda v: v.step) if known and len(known) == len(verdicts) else None
     holds: dict[str, np.ndarray] = {}
     measures: dict[str, np.ndarray] = {}
-    for atom in atoms(goal):
-        seen = _watch(atom, readings)
-        if seen is None:
-            return None
+    watched = {atom: seen for atom in atoms(goal) if (seen := _watch(atom, readings)) is not None}
+    if len(watched) < len(atoms(goal)):
+        verdict = _judged(Always(tuple(watched)), readings) if isinstance(goal, Always) and watched else None
+        return verdict if verdict is not None and not verdict.satisfied else None
+    for atom, seen in watched.items():
         holds[str(atom)] = seen
         if isinstance(goal, Always) and (gap := _gap_m(atom.arguments[0], readings)) is not None:
             measures[f"{atom} {GAP}"] = gap

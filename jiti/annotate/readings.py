@@ -24,9 +24,9 @@ class Readings:
     def __init__(self, episode: Episode) -> None:
         self.episode = episode
         self._poses: dict[str, str] = {}
-        for stream in episode.streams.values():
+        # An object's own place goes before what else may be called so.
+        for stream in sorted(episode.streams.values(), key=lambda s: not s.name.startswith("/objects/")):
             if _is_pose(stream):
-                # An object's own place goes before what else may be called so.
                 self._poses.setdefault(stream.name.rpartition("/")[2], stream.name)
         self._contacts = {
             frozenset((a, b)): (stream.name, column)

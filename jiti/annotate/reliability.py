@@ -19,9 +19,9 @@ def plot_png(evaluation: "Evaluation") -> bytes:
     from matplotlib.figure import Figure
 
     shown = [s for s in evaluation.scores if s.bins] or [evaluation.scores[-1]]
-    figure = Figure(figsize=(3.2 * len(shown), 3.6), layout="constrained")
+    figure = Figure(figsize=(max(4.0, 3.2 * len(shown)), 3.6), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{evaluation.proposer} against {evaluation.reference}: confidence and correctness of verdicts")
+    figure.suptitle(f"{evaluation.proposer} against {evaluation.reference}", fontsize=10)
     for k, scores in enumerate(shown, 1):
         axes = figure.add_subplot(1, len(shown), k)
         axes.plot([0, 1], [0, 1], color="grey", linestyle="dashed", linewidth=1)

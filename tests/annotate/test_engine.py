@@ -319,11 +319,6 @@ def test_an_address_that_is_none_is_said(ray_home):
 
 
 @on_ray
-@pytest.mark.xfail(
-    reason="ray.init tries 20 times, 40 s each, before it says so; _on_ray does not look whether anyone answers",
-    raises=subprocess.TimeoutExpired,
-    strict=True,
-)
 def test_an_address_at_which_no_one_answers_is_said_soon(ray_home):
     code = (
         "from jiti.annotate.engine import run\n"
@@ -343,21 +338,7 @@ def test_an_address_at_which_no_one_answers_is_said_soon(ray_home):
 
 
 @on_ray
-@pytest.mark.parametrize(
-    "how",
-    [
-        {"address": "auto"},
-        pytest.param(
-            {"workers": 2},
-            marks=pytest.mark.xfail(
-                reason="without an address Ray joins a cluster of this machine, and refuses num_cpus then",
-                raises=UsageError,
-                strict=True,
-            ),
-        ),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("how", [{"address": "auto"}, {"workers": 2}], ids=str)
 def test_a_cluster_that_was_started_on_this_machine_is_used_or_left_alone(ray_home, how):
     """As `ray start --head` starts it, which the message of a missing cluster says."""
     ray = str(Path(sys.executable).with_name("ray"))
@@ -399,7 +380,7 @@ def test_an_item_that_kills_every_worker_is_given_up_and_the_others_come(cluster
     assert squares(found) == [(k, k * k) for k in range(8) if k != 3]
     lost = dict(found)[3]
     assert isinstance(lost, WorkerLost)
-    assert f"died {RAY_RETRIES + 1} times" in str(lost)
+    assert f"{RAY_RETRIES + 1} times" in str(lost)
     assert (tmp_path / "3").read_text() == "died\n" * (RAY_RETRIES + 1)
 
 
@@ -446,9 +427,6 @@ def test_a_bug_in_the_work_on_ray_is_told(cluster):
 
 
 @on_ray
-@pytest.mark.xfail(
-    reason="_on_ray cancels nothing; only ray.shutdown ends tasks, of a Ray that it started", strict=True
-)
 def test_closing_early_stops_what_has_not_begun_on_a_ray_that_stays(cluster, tmp_path):
     results = run(Waiting(tmp_path), range(100), engine="ray", workers=2)
     assert next(results) == (0, 0)

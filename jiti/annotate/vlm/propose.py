@@ -72,8 +72,9 @@ def complete(
             except ModelFailed as error:
                 known.located_failure = str(error)
                 continue
+            if spans != known.spans:
+                known.decided, known.decisions = "", []
             known.located, known.spans, known.located_failure = located, spans, ""
-            known.decided, known.decisions = "", []
         decided = settings.decide_key(instruction, itc, cameras, known.spans)
         if "verdicts" in stages and known.spans and not known.has_decisions(decided):
             known.decided, known.decisions = (

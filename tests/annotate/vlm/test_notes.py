@@ -61,7 +61,6 @@ def whole() -> str:
     return json.dumps(
         {
             "fingerprint": "f",
-            "model": "tiny",
             "itcs": {
                 "x": {
                     "located": "k",
@@ -69,6 +68,7 @@ def whole() -> str:
                     "located_failure": "",
                     "decided": "d",
                     "decisions": [{"satisfied": True, "confidence": 0.875, "rationale": "it rests", "samples": 3}],
+                    "measured": None,
                 }
             },
         }

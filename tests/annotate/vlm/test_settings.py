@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from jiti.annotate.vlm.answers import Span
 from jiti.annotate.vlm.settings import Settings
 from jiti.errors import UsageError
 from jiti.tasks.task import ITC, Criterion
@@ -18,6 +19,8 @@ OTHER_RUNS = [
     replace(SETTINGS, concurrency=1, timeout_s=1.0, retries=0),
 ]
 """The same model asked in another way. `cameras` is what a user named; those that are shown are told separately."""
+
+SPAN = Span(1.0, 2.0, "it opens")
 
 
 def located(settings: Settings = SETTINGS, instruction: str = "put it there", itc: ITC = CENTRED, cameras=FRONT) -> str:
@@ -60,26 +63,30 @@ def test_words_do_not_run_into_each_other():
     assert located(cameras=("a", "b")) != located(cameras=("ab",))
 
 
-def test_verdicts_are_asked_for_again_after_other_segments_samples_and_goals():
-    key = SETTINGS.decide_key("k", CENTRED)
-    assert SETTINGS.decide_key("other", CENTRED) != key
-    assert replace(SETTINGS, samples=5).decide_key("k", CENTRED) != key
-    assert replace(SETTINGS, fuse=False).decide_key("k", CENTRED) != key
-    assert SETTINGS.decide_key("k", replace(CENTRED, goal="(In a b)")) != key
+def decided(
+    settings=SETTINGS, instruction="put it away", itc=CENTRED, cameras=("/camera/front",), spans=(SPAN,)
+) -> str:
+    return settings.decide_key(instruction, itc, cameras, spans)
+
+
+def test_verdicts_are_asked_for_again_after_other_segments_samples_words_and_models():
+    key = decided()
+    assert decided(spans=(replace(SPAN, end_s=9.0),)) != key
+    assert decided(spans=(replace(SPAN, evidence="other words for the same place"),)) == key
+    assert decided(replace(SETTINGS, samples=5)) != key
+    assert decided(replace(SETTINGS, model="other")) != key
+    assert decided(instruction="put it down") != key
+    assert decided(itc=replace(CENTRED, check="look")) != key
+    assert decided(cameras=("/camera/wrist",)) != key
     for other in OTHER_RUNS:
-        assert other.decide_key("k", CENTRED) == key
-
-
-def test_a_goal_counts_only_where_numbers_decide():
-    alone = replace(SETTINGS, fuse=False)
-    assert alone.decide_key("k", CENTRED) == alone.decide_key("k", replace(CENTRED, goal="(In a b)"))
+        assert decided(other) == key
 
 
 @pytest.mark.parametrize("instruction", ["", "größer\n大", "a" * 10**5])
 def test_a_key_is_short_and_plain_and_never_empty(instruction):
     """An empty one stands for a stage that was not asked."""
     assert re.fullmatch("[0-9a-f]{16}", located(instruction=instruction))
-    assert re.fullmatch("[0-9a-f]{16}", SETTINGS.decide_key(located(instruction=instruction), CENTRED))
+    assert re.fullmatch("[0-9a-f]{16}", decided(instruction=instruction))
 
 
 def test_half_a_character_in_an_instruction_has_a_key_as_well():
