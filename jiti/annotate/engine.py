@@ -72,6 +72,8 @@ def _on_ray[T, R](
 ) -> Generator[tuple[T, R | WorkerLost]]:
     # Ray reports what is used of it to its makers unless it is told not to.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Under `uv run`, Ray would start its workers through uv again, which builds an environment for each.
+    os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
     try:
         import ray
         from ray import exceptions
