@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jiti.annotate.measured import CARRIED_M, OPENS, SETTLED_M_S, SETTLED_S, decide_by_numbers
+from jiti.annotate.measured import CARRIED_M, CLOSES_PER_S, OPENS, SETTLED_M_S, SETTLED_S, decide_by_numbers
 from jiti.annotate.readings import Readings
 from jiti.annotate.simulator import read_trace
 from jiti.episodes.episode import Episode
@@ -80,6 +80,10 @@ def lowered(rest_m: float, release_m: float) -> np.ndarray:
 
 
 @settings(max_examples=40, deadline=None)
+@example(0.0, 0.099, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 7, False)
+@example(0.0, 0.101, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 7, False)
+@example(0.0024, 0.051, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 7, True)
+@example(0.0026, 0.049, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 7, True)
 @given(st.floats(0, 0.008), st.floats(0, 0.16), AXIS, AXIS, st.integers(1, LAST), st.booleans())
 def test_unchanged_is_five_millimetres_or_a_tenth_of_a_radian_or_half_of_each(moved, turn, way, axis, step, together):
     path = still(0.3, -0.2, 1.0)
@@ -121,6 +125,15 @@ def test_what_stayed_was_decided_where_the_carried_thing_or_else_the_hand_came_n
         hand_m=hand + [0, 1, 0],
     )
     assert decided(episode, "(Always (PositionUnchanged book_1))") == (True, step)
+
+
+def test_what_must_stay_is_not_what_came_near_it(tmp_path):
+    book, hand = still(0, 1, 0), still(0, 3, 0)
+    book[30:, 0] = CARRIED_M + 0.01  # it was touched and pushed, by less than this goal allows
+    hand[25, 1] = 1.5
+    poses = {"/objects/book_1": book}
+    episode = recording(tmp_path, poses, {"gripper-book_1": during(30, 40)}, hand_m=hand)
+    assert decided(episode, "(Always (PositionUnchanged book_1 0.05))") == (True, 25)
 
 
 def test_the_reason_names_no_distance_that_was_not_measured(tmp_path):
@@ -305,6 +318,20 @@ def test_the_frame_rate_decides_nothing(tmp_path, rate_hz, flicker_s, released_s
     assert found[0] == (released_s > 2)
     # It lets go when the fingers have opened by 4 of 100, which takes 0.02 s.
     assert abs(found[1] / rate_hz - released_s) <= 1 / rate_hz + 0.02 + 1e-9
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 60])
+@pytest.mark.parametrize(("travel_per_s", "held_s"), [(CLOSES_PER_S + 0.05, 4.0), (CLOSES_PER_S - 0.05, 0.5)])
+def test_a_hand_that_closes_slowly_does_not_hold_yet_at_any_frame_rate(tmp_path, rate_hz, travel_per_s, held_s):
+    # It touches at 0.5 s and closes on until 4 s; before it touched it came to there at once.
+    at = np.arange(5 * rate_hz + 1) / rate_hz
+    share = np.interp(at, [0, 0.45, 0.5, 4.0], [1, 1, 3.5 * travel_per_s, 0])
+    opening_m = CLOSED_M + share * (OPEN_M - CLOSED_M)
+    episode = recording(tmp_path, contacts={"gripper-bowl_1": at > 0.499}, opening_m=opening_m, rate_hz=rate_hz)
+    found = decided(episode, "(AtEnd (IsGrasping bowl_1))")
+    assert found is not None
+    assert found[0]
+    assert abs(found[1] / rate_hz - held_s) <= 1.01 / rate_hz
 
 
 # What numbers cannot tell

@@ -191,6 +191,8 @@ def test_hold_to_label_while_playing_and_loop(serve, screen, tmp_path: Path) -> 
     row = page.page.evaluate("fetch('/api/episodes/episode/rows').then(r => r.json())")["segments"][0]
     assert row["end_frame"] - row["start_frame"] >= 20
     page.press("l").wait(playing="true")
+    # The playhead stood behind the segment, and is brought to its start.
+    page.until(lambda: row["start_frame"] <= int(page.state["frame"]) <= row["end_frame"])
     seen = [int(page.state["frame"])]
     page.until(lambda: seen.append(int(page.state["frame"])) or any(b < a for a, b in pairwise(seen)), lambda: "a loop")
     assert set(seen) <= set(range(row["start_frame"], row["end_frame"] + 1))
