@@ -20,7 +20,7 @@ pytestmark = pytest.mark.browser
 SHOWN = ("itc_id", "start_frame", "end_frame", "reward", "status")
 
 
-@pytest.fixture(params=["made", "real"])
+@pytest.fixture(params=["made", pytest.param("real", marks=pytest.mark.slow)])
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """A folder with `episode.mcap`: one made here, and a recording that no one here wrote."""
     if request.param == "real":
@@ -84,6 +84,7 @@ def test_labels_by_key_survive_reload_and_kill(serve, screen, folder: Path) -> N
     assert page.errors == []
 
 
+@pytest.mark.slow
 def test_two_annotators_at_the_same_time_lose_nothing(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", duration_s=10)
     pages = {name: screen(serve("annotate", ".", "--annotator", name).url).ready() for name in ("ada", "ben")}
@@ -95,6 +96,7 @@ def test_two_annotators_at_the_same_time_lose_nothing(serve, screen, tmp_path: P
         assert [row["reward"] for row in parquet_rows(tmp_path, name)] == [reward] * 3
 
 
+@pytest.mark.slow
 def test_a_second_tab_is_told_what_changed(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", duration_s=10)
     first, second = (serve("annotate", ".", "--annotator", "ada") for _ in range(2))
@@ -158,6 +160,7 @@ def test_proposals_are_accepted_edited_and_rejected(serve, screen, tmp_path: Pat
     page.press("z").wait(proposals=1, segments=2)
 
 
+@pytest.mark.slow
 def test_every_key_of_the_viewer_is_the_annotators(serve, screen, tmp_path: Path) -> None:
     """Rerun binds Space, arrows, Home, End, digits and Ctrl+Z; with the focus in it they are still ours."""
     write_mcap(tmp_path / "episode.mcap", duration_s=10)

@@ -24,7 +24,9 @@ def check_frames(screen: Screen, frames: list[int], shown: Callable[[int], list[
         screen.wait(frame=frame).wait_numbers(shown(frame))
 
 
-@pytest.mark.parametrize("images", [("jpeg", "h264", "av1"), ("png", "raw")], ids="+".join)
+@pytest.mark.parametrize(
+    "images", [("jpeg", "h264", "av1"), pytest.param(("png", "raw"), marks=pytest.mark.slow)], ids="+".join
+)
 def test_every_picture_coding_shows_the_frame_that_is_named(serve, screen, tmp_path: Path, images: list[str]) -> None:
     cameras = {f"/camera/{image}": Camera(image=image, gop=250) for image in images}
     write_mcap(tmp_path / "episode.mcap", cameras=cameras, duration_s=10)
@@ -32,6 +34,7 @@ def test_every_picture_coding_shows_the_frame_that_is_named(serve, screen, tmp_p
     check_frames(page, [0, 1, 299, 137], lambda frame: [frame] * len(images))
 
 
+@pytest.mark.slow
 def test_variable_rate_and_a_camera_that_starts_late(serve, screen, tmp_path: Path) -> None:
     cameras = {
         "/camera/front": Camera(image="h264", gop=250, times_s=UNEVEN_S),
@@ -49,7 +52,11 @@ def test_variable_rate_and_a_camera_that_starts_late(serve, screen, tmp_path: Pa
     check_frames(page, [0, late - 1, late, 250, 299], shown)
 
 
-@pytest.mark.parametrize("encoder", [H264, H264_B_FRAMES, AV1_LONG_GOP], ids=lambda encoder: encoder.name)
+@pytest.mark.parametrize(
+    "encoder",
+    [pytest.param(H264, marks=pytest.mark.slow), pytest.param(H264_B_FRAMES, marks=pytest.mark.slow), AV1_LONG_GOP],
+    ids=lambda encoder: encoder.name,
+)
 def test_lerobot_with_several_episodes_a_file(serve, screen, tmp_path: Path, encoder: Encoder) -> None:
     write_v3(tmp_path / "dataset", (40, 25, 60), encoder=encoder, size=(320, 240), number_step=1000)
     page = screen(serve("annotate", "dataset").url)
@@ -65,6 +72,7 @@ def test_lerobot_with_several_episodes_a_file(serve, screen, tmp_path: Path, enc
         check_frames(page, frames, lambda frame, e=episode: [e * 1000 + frame])
 
 
+@pytest.mark.slow
 def test_a_codec_that_browsers_do_not_play_shows_through_a_copy(serve, screen, tmp_path: Path) -> None:
     write_mcap(tmp_path / "episode.mcap", cameras={"/camera/front": Camera(image="h265", gop=30)}, duration_s=4)
     page = screen(serve("annotate", "episode.mcap").url)

@@ -121,6 +121,7 @@ def test_pictures_are_upright_and_differ_between_cameras(graphics):
     env.close()
 
 
+@pytest.mark.slow
 def test_an_axis_times_its_angle_is_lerobots():
     quaternions = np.random.default_rng(0).normal(size=(50, 4))
     quaternions = np.concatenate([quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True), [[0, 0, 0, 1]]])
