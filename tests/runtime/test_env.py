@@ -58,7 +58,7 @@ def test_without_a_seed_each_environment_draws_episodes_of_its_own(bowl):
 def test_starts_are_liberos_own_files_moved_a_little_or_drawn_anew(bowl):
     starts = {start: bowl.reset(seed=2, options={"start": start})[0] for start in ("file", "jitter", "sampled")}
     names = bowl.environment_state_names
-    x, y = names.index("akita_black_bowl_1.x"), names.index("akita_black_bowl_1.y")
+    x, y = names.index("thing_0.from_hand.x_m"), names.index("thing_0.from_hand.y_m")
     place = {start: seen["environment_state"][[x, y]] for start, seen in starts.items()}
     assert 1e-4 < np.abs(place["jitter"] - place["file"]).max() < 0.02
     assert np.linalg.norm(place["sampled"] - place["file"]) < 0.1

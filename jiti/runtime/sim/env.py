@@ -14,10 +14,11 @@ from gymnasium import spaces
 from jiti.errors import UsageError
 from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.monitor import Monitor
-from jiti.runtime.sim.proprio import environment_state, proprio
+from jiti.runtime.sim.proprio import proprio, scene_order, scene_vector
 from jiti.runtime.sim.scene import CONTROL_HZ, PICTURE_SIZE, Scene, Start
 from jiti.runtime.sim.world import GRIPPER
 from jiti.tasks.catalogue import load_catalogue
+from jiti.tasks.scene_state import scene_state_names
 from jiti.tasks.task import Task
 
 MOST_STEPS = 600
@@ -32,8 +33,9 @@ class ElegantEnv(gym.Env):
     """One task. Actions: LIBERO's 7-D OSC_POSE, -1 to 1.
 
     Observations are a dict: `agent_pos` (8,) float32, the proprioception that lerobot's LIBERO environment gives;
-    `environment_state` (n,) float32, poses of all objects and fixtures and joints of the latter, named by
-    `environment_state_names`; and with cameras `pixels`, a dict of RGB (size, size, 3) uint8, upright, by camera.
+    `environment_state` (n,) float32, where things are, the same numbers for every task (`jiti.tasks.scene_state`),
+    named by `environment_state_names`; and with cameras `pixels`, a dict of RGB (size, size, 3) uint8, upright, by
+    camera.
 
     The reward is 1 at the step that ends an episode elegantly and 0 everywhere else, so that its sum is the ESR. `info`
     has `is_success` (whether LIBERO's predicate has held) at each step, and at the last `is_elegant` and `itcs`, by id.
@@ -64,10 +66,11 @@ class ElegantEnv(gym.Env):
         self.scene = Scene(self.task, assets=assets, graphics=graphics, cameras=cameras, picture_size=picture_size)
         self._graphics = graphics
         self._monitor = Monitor(self.scene)
-        self.environment_state_names, state = environment_state(self.scene)
+        self.environment_state_names = scene_state_names()
+        self._order = scene_order(self.scene)
         room: dict[str, spaces.Space] = {
             "agent_pos": spaces.Box(-np.inf, np.inf, (8,), np.float32),
-            "environment_state": spaces.Box(-np.inf, np.inf, state.shape, np.float32),
+            "environment_state": spaces.Box(-np.inf, np.inf, (len(self.environment_state_names),), np.float32),
         }
         if self.scene.cameras:
             shape = (picture_size, picture_size, 3)
@@ -128,7 +131,7 @@ class ElegantEnv(gym.Env):
     def _observe(self) -> dict[str, Any]:
         seen: dict[str, Any] = {
             "agent_pos": proprio(self.scene),
-            "environment_state": environment_state(self.scene)[1],
+            "environment_state": scene_vector(self.scene, self._order),
         }
         if self.scene.cameras:
             seen["pixels"] = {camera: self.scene.render(camera) for camera in self.scene.cameras}

@@ -1,9 +1,14 @@
-"""The robot's own state as policies for LIBERO take it: 8 numbers, the same that lerobot's LIBERO environment gives."""
+"""What policies take of a scene in numbers: the robot's state, as in lerobot's LIBERO environment, and the things'."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from jiti.runtime.sim.scene import Scene
+from jiti.runtime.sim.world import GRIPPER
+from jiti.tasks.goal import atoms, parse_goal
 from jiti.tasks.rotation import quaternion_xyzw
+from jiti.tasks.scene_state import roles, scene_state
 
 PROPRIO_NAMES = ("x", "y", "z", "rx", "ry", "rz", "finger_1", "finger_2")
 """Point between the fingertips in m, rotation of the hand as axis times angle in rad, fingers in m; world frame."""
@@ -26,18 +31,25 @@ def axis_angle(quaternion_xyzw: np.ndarray) -> np.ndarray:
     return np.zeros(3) if length < 1e-10 else quaternion_xyzw[:3] * 2 * np.arccos(w) / length
 
 
-def environment_state(scene: Scene) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and values (n,) float32 of where everything is: place and quaternion (xyzw, w not negative) of each object
-    and fixture in the world, then how far each fixture's moving parts stand."""
+def scene_order(scene: Scene) -> list[str]:
+    """Names of things in the order of their places in the vector of `scene_vector`."""
     world = scene.world
-    names: list[str] = []
-    values: list[np.ndarray] = []
-    for name in (*world.names.objects, *world.names.fixtures):
-        pose = world.pose(name)
-        names += [f"{name}.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-        values += [pose[:3, 3], quaternion_xyzw(pose)]
-    for name in world.names.fixtures:
-        joints = world.joints(name)
-        names += [f"{name}.joint_{k}" for k in range(len(joints))]
-        values.append(joints)
-    return tuple(names), np.concatenate(values).astype(np.float32)
+    regions = spoken_regions(scene)
+    moved = [name for name in scene.interest if name in world.names.objects]
+    return roles(scene.task, (*world.names.objects, *world.names.fixtures, *regions), moved=moved, regions=regions)
+
+
+def scene_vector(scene: Scene, order: Sequence[str]) -> np.ndarray:
+    """(n,) float32: where things are now, as `jiti.tasks.scene_state` has it of a recording."""
+    poses = {name: scene.world.pose(name) for name in order}
+    vectors = {name: np.append(pose[:3, 3], quaternion_xyzw(pose))[None] for name, pose in poses.items()}
+    touched = (GRIPPER, order[0]) in scene.world.contacts()
+    return scene_state(scene.world_T_eef[None, :3, 3], vectors, order, np.array([touched]))[0]
+
+
+def spoken_regions(scene: Scene) -> list[str]:
+    """Places that the task or its ITCs speak of: where in a fixture something is to go."""
+    spoken = [
+        name for itc in scene.task.itcs if itc.goal for atom in atoms(parse_goal(itc.goal)) for name in atom.arguments
+    ]
+    return [name for name in dict.fromkeys((*scene.interest, *spoken)) if name in scene.world.names.regions]

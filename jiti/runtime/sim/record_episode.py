@@ -12,10 +12,9 @@ from jiti.runtime.sim.demonstrators import demonstrator_for
 from jiti.runtime.sim.episode import run_episode
 from jiti.runtime.sim.monitor import Monitor, Outcome
 from jiti.runtime.sim.pictures import jpeg
-from jiti.runtime.sim.proprio import PROPRIO_NAMES, proprio
+from jiti.runtime.sim.proprio import PROPRIO_NAMES, proprio, spoken_regions
 from jiti.runtime.sim.scene import ACTION_NAMES, ARM_JOINTS, CONTROL_HZ, FINGER_JOINTS, Scene, Start
 from jiti.runtime.sim.world import GRIPPER
-from jiti.tasks.goal import atoms, parse_goal
 from jiti.tasks.judge import MEASURES, PREDICATES
 from jiti.tasks.rotation import quaternion_xyzw
 
@@ -68,7 +67,7 @@ def _write(writer: McapWriter, time_ns: int, scene: Scene, monitor: Monitor, act
     _write_pose(writer, "/eef_pose", time_ns, scene.world_T_eef)
     for name in (*world.names.objects, *world.names.fixtures):
         _write_pose(writer, f"/objects/{name}", time_ns, world.pose(name))
-    for name in _regions(scene):
+    for name in spoken_regions(scene):
         _write_pose(writer, f"/regions/{name}", time_ns, world.pose(name))
     for name in world.names.fixtures:
         if len(joints := world.joints(name)):
@@ -84,14 +83,6 @@ def _write(writer: McapWriter, time_ns: int, scene: Scene, monitor: Monitor, act
     writer.write_vector(MEASURES, time_ns, monitor.measures, measured)
     if action is not None:
         writer.write_vector("/action", time_ns, ACTION_NAMES, action)
-
-
-def _regions(scene: Scene) -> list[str]:
-    """Those that the task or its ITCs speak of: where in a fixture something is to go."""
-    spoken = [
-        name for itc in scene.task.itcs if itc.goal for atom in atoms(parse_goal(itc.goal)) for name in atom.arguments
-    ]
-    return [name for name in dict.fromkeys((*scene.interest, *spoken)) if name in scene.world.names.regions]
 
 
 def _write_pose(writer: McapWriter, topic: str, time_ns: int, pose: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from lerobot.envs.configs import EnvConfig  # noqa: TID253
 from jiti.runtime.sim.env import ElegantEnv
 from jiti.runtime.sim.scene import CONTROL_HZ, PICTURE_SIZE, Start
 from jiti.tasks.catalogue import load_catalogue
+from jiti.tasks.scene_state import scene_state_names
 
 PICTURES = {"front": "image", "wrist": "image2"}
 """lerobot's names of LIBERO's two pictures, by our names of the cameras."""
@@ -55,11 +56,7 @@ class JitiEnv(EnvConfig):
                 self.features[f"pixels/{name}"] = PolicyFeature(FeatureType.VISUAL, size)
                 self.features_map[f"pixels/{name}"] = f"observation.images.{name}"
         else:
-            # How many numbers depends on the task, so the scene of the first one is asked.
-            with_state = ElegantEnv(self.task_ids[0], assets=self.assets)
-            shape = (len(with_state.environment_state_names),)
-            with_state.close()
-            self.features["environment_state"] = PolicyFeature(FeatureType.ENV, shape)
+            self.features["environment_state"] = PolicyFeature(FeatureType.ENV, (len(scene_state_names()),))
             self.features_map["environment_state"] = "observation.environment_state"
 
     @property
