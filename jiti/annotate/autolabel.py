@@ -1,7 +1,7 @@
 """`jiti autolabel`: what a machine proposes for every episode of a source, for people to decide."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +16,7 @@ from jiti.annotate.vlm.backend import NOTHING, Usage
 from jiti.annotate.vlm.notes import notes_path, write_notes
 from jiti.episodes.episode import EpisodeReader
 from jiti.errors import LabelError, SaveFailed, SourceError, UsageError
-
-Progress = Callable[[float, str], None]
+from jiti.progress import Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """`jiti autolabel`, whole: from what a user asked for to what is printed. Every result has a text and `to_json`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -23,11 +23,11 @@ from jiti.annotate.vlm.propose import Stage
 from jiti.annotate.vlm.settings import Settings
 from jiti.annotate.web.session import Session
 from jiti.errors import UsageError
+from jiti.progress import Progress
 from jiti.tasks.catalogue_file import read_tasks
 
 Part = Literal["itcs", "segments", "verdicts"]
 """A stage of the model, alone."""
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

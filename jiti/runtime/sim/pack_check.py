@@ -7,16 +7,15 @@ reset once, which is the proof.
 import importlib
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from jiti.errors import UsageError
+from jiti.progress import Progress
 from jiti.runtime.sim.libero import DOWNLOADED, PRIMITIVE, bddl_file, import_libero
 from jiti.runtime.sim.pack_needs import FOLDERS, OBJECT, Element, Need, needs_of, parse_problem, scene_of
 from jiti.tasks.task import Task
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

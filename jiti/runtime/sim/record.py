@@ -25,6 +25,7 @@ from jiti.annotate.engine import cores
 from jiti.durable import make_folder
 from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.errors import UsageError
+from jiti.progress import Progress
 from jiti.runtime.sim.demonstrators import expert_for
 from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.gl import Graphics, find_graphics
@@ -33,8 +34,6 @@ from jiti.runtime.sim.record_episode import OUTCOME, record_episode
 from jiti.runtime.sim.scene import CAMERAS, CONTROL_HZ, Scene, Start
 from jiti.tasks.task import Task
 
-Progress = Callable[[float, str], None]
-"""Called with the share that is done, 0 to 1, and what is being done."""
 TYPICAL_STEPS = 200
 """Steps of an episode, for progress alone."""
 GRACE_S = 5.0
