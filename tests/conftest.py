@@ -7,9 +7,11 @@ import pytest
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let processes that tests start keep what they compile: to import everything anew takes each of them seconds."""
+    """For processes that tests start: let them keep what they compile, for to import everything anew takes seconds."""
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("PYTHONPYCACHEPREFIX", str(config.rootpath / ".pytest_cache" / "bytecode"))
+    # As `jiti.annotate.engine` sets it, which is too late where a test imports Ray before.
+    os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
 
 
 @pytest.fixture(scope="session")
