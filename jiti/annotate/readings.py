@@ -52,12 +52,12 @@ class Readings:
 
     def position_m(self, name: str) -> np.ndarray | None:
         """(frames, 3)"""
-        pose = self._pose(name)
+        pose = self.pose(name)
         return None if pose is None else pose[:, :3]
 
     def rotation(self, name: str) -> np.ndarray | None:
         """(frames, 3, 3)"""
-        pose = self._pose(name)
+        pose = self.pose(name)
         # Who publishes positions only leaves the quaternion at 0.
         if pose is None or not np.linalg.norm(pose[:, 3:], axis=1).all():
             return None
@@ -98,7 +98,8 @@ class Readings:
             return None
         return self._values(channels[0].stream)[:, channels[0].columns]
 
-    def _pose(self, name: str) -> np.ndarray | None:
+    def pose(self, name: str) -> np.ndarray | None:
+        """(frames, 7): x, y, z in m, then a quaternion x, y, z, w."""
         if name not in self._poses:
             return None
         values = self._values(self._poses[name])

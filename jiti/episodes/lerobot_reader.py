@@ -49,6 +49,10 @@ class LeRobotReader:
         entry = self._index.entry(episode_id)
         return LeRobotEpisode(self.info, entry, join_tasks(entry.tasks), self._tasks)
 
+    def fingerprint(self, episode_id: str) -> str:
+        """That of the episode, without opening its files. Raises SourceError when there is none of that id."""
+        return _fingerprint(self.info, self._index.entry(episode_id))
+
     @cached_property
     def _tasks(self) -> Mapping[int, str]:
         """Instructions by number, for episodes whose entry names none; empty when they cannot be read."""

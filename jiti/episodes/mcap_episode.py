@@ -62,7 +62,9 @@ class McapEpisode:
         self._streams = {stream.name: stream for stream in found}
         self.streams: Mapping[str, Stream] = {stream.name: stream.describe() for stream in found}
         self.task = task_of(self._contents, found)
-        self.task_id = own_metadata(self._contents).get("task")
+        self.metadata = own_metadata(self._contents)
+        """What jiti's recorder wrote of the episode; empty for recordings of others."""
+        self.task_id = self.metadata.get("task")
         self.clock = _clock(found, frame_rate_of(self._contents))
         self.image_bytes = _image_bytes(self._contents, found)
         self._faults = Faults()

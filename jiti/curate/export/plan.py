@@ -1,0 +1,368 @@
+"""Everything about a dataset that is known before anything is written: its episodes, their frames, labels and splits."""
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+
+import pyarrow as pa
+
+from jiti.annotate.segments import SCHEMA, Segment
+from jiti.curate.export.automatic import map_automatically
+from jiti.curate.export.features import Feature, Shape, shapes
+from jiti.curate.export.filter import Filter
+from jiti.curate.export.frames import Frames, frames_of, moved, whole_rate
+from jiti.curate.export.outcome import recorded_success
+from jiti.curate.export.sources import Source
+from jiti.curate.export.split import split_episodes
+from jiti.curate.returns import mc_returns
+from jiti.curate.rewards import rewards_of
+from jiti.curate.verdicts import spans
+from jiti.episodes.episode import Episode, EpisodeRef
+from jiti.episodes.lerobot_index import episode_id_of
+from jiti.errors import LabelError, SourceError, UsageError
+from jiti.tasks.generic import GENERIC
+from jiti.tasks.task import Task
+
+Progress = Callable[[float, str], None]
+NO_INSTRUCTION = "no instruction recorded"
+"""LeRobot wants a text for every episode."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedEpisode:
+    """One episode of the dataset."""
+
+    source: str
+    episode_id: str
+    """In its source."""
+    title: str
+    fingerprint: str
+    instruction: str
+    task_id: str | None
+    """None for a task that no catalogue has."""
+    success: bool | None
+    frames: int
+    segments: tuple[tuple[str, Segment], ...]
+    """Annotator and segment: those that count, on the dataset's frames."""
+    reward: int | None
+    first_return: float
+    peak_return: float
+    annotated: float
+    verdicts: Mapping[str, int]
+    """By ITC: 0 where any frame is violated."""
+    features: tuple[Feature, ...]
+    split: str = "train"
+    index: int = -1
+    first_frame: int = 0
+    """In the whole dataset."""
+
+    def values(self, fps: int) -> dict[str, Any]:
+        """What a filter asks for; see `filter.NAMES`."""
+        return {
+            "episode": self.episode_id,
+            "source": self.source,
+            "task": self.task_id,
+            "instruction": self.instruction,
+            "frames": self.frames,
+            "seconds": self.frames / fps,
+            "segments": len(self.segments),
+            "annotators": ",".join(sorted({annotator for annotator, _ in self.segments})),
+            "annotated": self.annotated,
+            "reward": self.reward,
+            "return": self.first_return,
+            "peak_return": self.peak_return,
+            "success": self.success,
+            "split": self.split,
+            "itc": self.verdicts,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What of the sources goes in, and how; see `jiti curate --help`."""
+
+    rule: str
+    """In words, for the metadata."""
+    gamma: float
+    fps: int | None = None
+    keep_unlabelled: bool = False
+    features: tuple[Feature, ...] | None = None
+    condition: Filter | None = None
+    shares: tuple[float, float, float] = (0.8, 0.1, 0.1)
+    seed: int = 0
+    unseen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The dataset to be."""
+
+    episodes: tuple[PlannedEpisode, ...]
+    shapes: Mapping[str, Shape]
+    fps: int
+    resampled: bool
+    tasks: tuple[Task, ...]
+    """That episodes have, from the catalogues; generic ones are not among them."""
+    unlabelled: int
+    """Episodes left out because nothing counts of them."""
+    filtered: int
+    """Episodes left out by the filter."""
+    notes: tuple[str, ...]
+    """What a person should know."""
+    digest: str
+    """Changes when an input does: recordings, labels that count, mapping, rate, choice."""
+
+    @property
+    def instructions(self) -> list[str]:
+        """In the order of their numbers in the dataset."""
+        return list(dict.fromkeys(episode.instruction for episode in self.episodes))
+
+
+def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = lambda _s, _w: None) -> Plan:
+    """Open every episode that has labels, once. Raises JitiError for what does not fit together, before any output."""
+    notes: list[str] = []
+    found: list[tuple[PlannedEpisode, dict[str, Shape], float]] = []
+    known_tasks: dict[str, Task] = {}
+    unlabelled = 0
+    total = sum(len(source.reader.episodes()) for source in sources)
+    done = 0
+    for source in sources:
+        _check_labels(source)
+        for ref in source.reader.episodes():
+            done += 1
+            rows = source.counted.segments.get(ref.episode_id, ())
+            if not rows and not choice.keep_unlabelled:
+                unlabelled += 1
+                continue
+            progress(done / total, f"planning {ref.title}")
+            episode = _open(source, ref, labelled=bool(rows), notes=notes)
+            if episode is None:
+                continue
+            task = source.catalogue.for_episode(episode)
+            planned, shape = _plan_episode(source, ref, episode, task, rows, choice)
+            if planned.task_id:
+                known_tasks[planned.task_id] = task
+            found.append((planned, shape, episode.clock.rate_hz))
+        if not any(planned.source == source.name for planned, _, _ in found):
+            raise _no_labels(source, choice)
+    fps = choice.fps or _common_rate(found)
+    _check_shapes(found)
+    return _finished(found, fps, choice, known_tasks, unlabelled, notes)
+
+
+def segments_table(rows: Sequence[tuple[str, Segment]]) -> pa.Table:
+    """What `read_segments` would give for these rows."""
+    columns = [pa.array([getattr(segment, name) for _, segment in rows], SCHEMA.field(name).type) for name in SCHEMA.names]
+    annotators = pa.array([annotator for annotator, _ in rows], pa.string())
+    return pa.Table.from_arrays([*columns, annotators], names=[*SCHEMA.names, "annotator"])
+
+
+def _check_labels(source: Source) -> None:
+    """Raises LabelError for labels of a recording that is not there."""
+    listed = {ref.episode_id for ref in source.reader.episodes()}
+    lost = sorted(source.counted.recordings.keys() - listed)
+    if lost:
+        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+        raise LabelError(
+            f"{source.labels_dir} has labels of {lost[0]!r}{more}, and {source.name} has no such episode. "
+            f"Restore the recording, or move its labels away: {source.labels_dir}/segments/annotator=*/{lost[0]}.parquet."
+        )
+
+
+def _open(source: Source, ref: EpisodeRef, *, labelled: bool, notes: list[str]) -> Episode | None:
+    try:
+        episode = source.reader.open(ref.episode_id)
+    except SourceError as error:
+        if labelled:
+            raise
+        notes.append(f"{ref.title} was left out, because it cannot be opened: {error}")
+        return None
+    about = source.counted.recordings.get(ref.episode_id)
+    if labelled and about is not None and about.fingerprint != episode.fingerprint:
+        raise LabelError(
+            f"{source.name}, {ref.title}: the labels were made on a recording of {about.frame_count} frames with "
+            f"fingerprint {about.fingerprint}; the one here has {episode.clock.frame_count} frames and fingerprint "
+            f"{episode.fingerprint}. Restore that recording, or open it in `jiti annotate` and confirm the labels."
+        )
+    if not episode.clock.frame_count:
+        raise SourceError(f"{source.name}, {ref.title}: it has no frames. Leave it out: move it or its labels away.")
+    return episode
+
+
+def _plan_episode(
+    source: Source,
+    ref: EpisodeRef,
+    episode: Episode,
+    task: Task,
+    rows: Sequence[tuple[str, Segment]],
+    choice: Choice,
+) -> tuple[PlannedEpisode, dict[str, Shape]]:
+    title = f"{source.name}, {ref.title}"
+    features = choice.features or map_automatically(episode, title)
+    last = episode.clock.frame_count - 1
+    if outside := [segment for _, segment in rows if segment.end_frame > last]:
+        raise LabelError(
+            f"{title}: segment {outside[0].segment_id} of {outside[0].itc_id} ends at frame {outside[0].end_frame}; "
+            f"the last frame is {last}. `jiti annotate` shows it."
+        )
+    fps = choice.fps or whole_rate(episode.clock.rate_hz, title)
+    frames = frames_of(episode.clock, choice.fps)
+    kept = tuple(
+        (annotator, segment)
+        for (annotator, _), segment in zip(rows, moved([s for _, s in rows], frames, "", fps), strict=True)
+    )
+    values = _judge(kept, frames, choice.gamma)
+    instruction = episode.task or (task.instruction if task.task_id != GENERIC else "") or NO_INSTRUCTION
+    planned = PlannedEpisode(
+        source=source.name,
+        episode_id=ref.episode_id,
+        title=ref.title,
+        fingerprint=episode.fingerprint,
+        instruction=instruction,
+        task_id=None if task.task_id == GENERIC else task.task_id,
+        success=recorded_success(episode),
+        frames=frames.count,
+        segments=kept,
+        features=features,
+        **values,
+    )
+    return planned, shapes(features, episode, title)
+
+
+def _judge(rows: Sequence[tuple[str, Segment]], frames: Frames, gamma: float) -> dict[str, Any]:
+    counts = {"": frames.count}
+    found = spans(segments_table(rows), counts)
+    rewards = rewards_of(found, counts)
+    returns = mc_returns(rewards.reward, rewards.offsets, gamma)
+    verdicts: dict[str, int] = {}
+    for itc, verdict in zip(found.itc.tolist(), found.verdict.tolist(), strict=True):
+        name = found.itc_ids[itc]
+        verdicts[name] = min(verdict, verdicts.get(name, 1))
+    return {
+        "reward": min(verdicts.values()) if verdicts else None,
+        "first_return": float(returns[0]),
+        "peak_return": float(returns.max()),
+        "annotated": float(rewards.annotated.mean()),
+        "verdicts": verdicts,
+    }
+
+
+def _no_labels(source: Source, choice: Choice) -> LabelError:
+    proposals = [name for name in source.counted.annotators if name in ("sim", "signal", "vlm")]
+    first = f"There are proposals of {', '.join(proposals)}: review them" if proposals else "Label it"
+    also = f", or count them as they are with --accept {proposals[0]}" if proposals else ""
+    return LabelError(
+        f"{source.name}: nothing in {source.labels_dir} counts by the rule {choice.rule!r}. {first} with "
+        f"`jiti annotate {source.given}`{also}. `jiti autolabel {source.given}` makes proposals; "
+        "--unlabelled keep takes episodes without labels."
+    )
+
+
+def _common_rate(found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]]) -> int:
+    rates: dict[int, str] = {}
+    for planned, _, rate_hz in found:
+        title = f"{planned.source}, {planned.title}"
+        rates.setdefault(whole_rate(rate_hz, title), title)
+    if len(rates) > 1:
+        (one, there), (other, here) = list(rates.items())[:2]
+        raise UsageError(
+            f"the recordings have different rates: {there} runs at {one} Hz, {here} at {other} Hz. "
+            f"Pass --fps {min(rates)} to resample all of them, or curate them apart."
+        )
+    return next(iter(rates))
+
+
+def _check_shapes(found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]]) -> None:
+    """Raises SourceError where two recordings disagree on a feature."""
+    first, expected, _ = found[0]
+    remedy = "Map them alike with --features (--print-features shows a mapping to begin from), or curate them apart."
+    for planned, shape, _ in found[1:]:
+        one, other = f"{first.source}, {first.title}", f"{planned.source}, {planned.title}"
+        if lacking := [key for key in (*expected, *shape) if (key in expected) != (key in shape)]:
+            has, has_not = (one, other) if lacking[0] in expected else (other, one)
+            raise SourceError(f"{has} has {lacking[0]!r}, and {has_not} has not. {remedy}")
+        for key, there in shape.items():
+            if there.shape != expected[key].shape:
+                raise SourceError(
+                    f"{key!r} is {_size(expected[key])} in {one}, and {_size(there)} in {other}. {remedy}"
+                )
+            if there.names and expected[key].names and there.names != expected[key].names:
+                differs = next(k for k, pair in enumerate(zip(there.names, expected[key].names, strict=True)) if pair[0] != pair[1])
+                raise SourceError(
+                    f"number {differs} of {key!r} is {expected[key].names[differs]!r} in {one}, and "
+                    f"{there.names[differs]!r} in {other}. {remedy}"
+                )
+
+
+def _size(shape: Shape) -> str:
+    if shape.dtype == "video":
+        return f"{shape.shape[1]}x{shape.shape[0]} pixels"
+    return f"{shape.shape[0]} numbers"
+
+
+def _finished(
+    found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]],
+    fps: int,
+    choice: Choice,
+    tasks: Mapping[str, Task],
+    unlabelled: int,
+    notes: list[str],
+) -> Plan:
+    episodes = [planned for planned, _, _ in found]
+    known = {name for episode in episodes for name in (episode.task_id, episode.instruction)}
+    if missing := [name for name in choice.unseen if name not in known]:
+        there = ", ".join(sorted({e.task_id or e.instruction for e in episodes}))
+        raise UsageError(f"--unseen {missing[0]}: no episode has that task; there are: {there}.")
+    unseen = [bool({episode.task_id, episode.instruction} & set(choice.unseen)) for episode in episodes]
+    strata = [(episode.task_id or episode.instruction, episode.reward) for episode in episodes]
+    # Before the filter, so that filtered and whole data have the same episodes held out.
+    names = split_episodes(strata, unseen, choice.shares, choice.seed)
+    episodes = [replace(episode, split=name) for episode, name in zip(episodes, names, strict=True)]
+    kept = [episode for episode in episodes if choice.condition is None or choice.condition(episode.values(fps))]
+    if not kept and choice.condition is not None:
+        rewards = Counter(str(episode.reward) for episode in episodes)
+        raise UsageError(
+            f"--filter {choice.condition.text!r} leaves none of {len(episodes)} episodes; "
+            f"rewards are: {', '.join(f'{reward} ({count})' for reward, count in rewards.items())}."
+        )
+    placed = list(_placed(kept, fps))
+    shape = dict(found[0][1])
+    return Plan(
+        tuple(placed),
+        shape,
+        fps,
+        choice.fps is not None,
+        tuple(tasks[name] for name in dict.fromkeys(episode.task_id for episode in placed) if name),
+        unlabelled,
+        len(episodes) - len(kept),
+        tuple(notes),
+        _digest(placed, shape, fps, choice),
+    )
+
+
+def _placed(kept: Sequence[PlannedEpisode], fps: int) -> Iterator[PlannedEpisode]:
+    first = 0
+    for index, episode in enumerate(kept):
+        name = episode_id_of(index)
+        rows = tuple((annotator, replace(segment, episode_id=name)) for annotator, segment in episode.segments)
+        yield replace(episode, index=index, first_frame=first, segments=rows)
+        first += episode.frames
+
+
+def _digest(episodes: Sequence[PlannedEpisode], shape: Mapping[str, Shape], fps: int, choice: Choice) -> str:
+    digest = hashlib.sha256()
+    about = {key: value.to_info() for key, value in shape.items()}
+    digest.update(json.dumps([about, fps, choice.gamma, choice.rule], sort_keys=True).encode())
+    for episode in episodes:
+        rows = [[annotator, segment.to_row()] for annotator, segment in episode.segments]
+        mapping = [[f.key, f.streams, f.components, f.camera, f.scene_state] for f in episode.features]
+        told = [episode.source, episode.episode_id, episode.fingerprint, episode.split, episode.task_id, rows, mapping]
+        digest.update(json.dumps(told, sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+
