@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jiti.curate.returns import GAMMA
+from jiti.curate.returns import GAMMA, mc_returns
 from jiti.errors import SourceError
 
 SPLITS = ("train", "validation", "test", "unseen")
@@ -90,13 +90,18 @@ class ElegantData:
             [np.arange(self.offsets[e], self.offsets[e + 1]) for e in episodes] or [np.zeros(0, np.int64)]
         )
 
+    def with_rewards(self, reward: np.ndarray, gamma: float) -> "ElegantData":
+        """The same frames with other rewards (frames,) or another discount, and the returns that follow."""
+        returns = mc_returns(reward, self.offsets, gamma)
+        return replace(self, gamma=gamma, reward=reward.astype(np.float32), mc_return=returns.astype(np.float32))
+
     def with_splits(self, split: np.ndarray) -> "ElegantData":
         """The same frames with other splits (episodes,)."""
         return replace(self, split=np.asarray(split, dtype=object))
 
 
 def read_elegant(root: Path) -> ElegantData:
-    """Read D_elegant. Raises SourceError, which names the file, for what is missing, damaged, not finite or unlabelled."""
+    """Read D_elegant. Raises SourceError, naming the file, for what is missing, damaged, not finite or unlabelled."""
     info = _info(root)
     table = _columns(root, info)
     action = _vectors(table, "action", root)
@@ -159,7 +164,9 @@ def _info(root: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError) as error:
         raise SourceError(f"{path} is damaged: {error!r}. Make the dataset again with `jiti curate`.") from error
     if not version.startswith("v3"):
-        raise SourceError(f"{root} is a LeRobot dataset of version {version}; critics read v3. Convert it with lerobot.")
+        raise SourceError(
+            f"{root} is a LeRobot dataset of version {version}; critics read v3. Convert it with lerobot."
+        )
     if missing := [name for name in NEEDED if name not in features]:
         raise SourceError(
             f"{root} has no {' and no '.join(f'{NEEDED[name]} ({name})' for name in missing)}; it has: "
@@ -182,7 +189,7 @@ def _columns(root: Path, info: dict[str, Any]) -> pa.Table:
     if len(index) != info.get("total_frames", len(index)) or not np.array_equal(index, np.arange(len(index))):
         raise SourceError(
             f"{root}: meta/info.json speaks of {info.get('total_frames')} frames, its data of {len(index)} with index "
-            f"{index.min(initial=0)} to {index.max(initial=0)}. A file is missing or twice there; copy the dataset again."
+            f"{index.min(initial=0)} to {index.max(initial=0)}. A file is missing or there twice; copy it all again."
         )
     return table
 
@@ -212,7 +219,9 @@ def _numbers(table: pa.Table, name: str, root: Path) -> np.ndarray:
 def _vectors(table: pa.Table, name: str, root: Path) -> np.ndarray:
     flat = _flat(table[name]).astype(np.float32)
     if flat.size % max(1, len(table)):
-        raise SourceError(f"{root}: vectors of {name} have different lengths. Make the dataset again with `jiti curate`.")
+        raise SourceError(
+            f"{root}: vectors of {name} have different lengths. Make the dataset again with `jiti curate`."
+        )
     return _finite(flat.reshape(len(table), -1), name, root)
 
 
@@ -232,7 +241,9 @@ def _offsets(table: pa.Table, root: Path) -> np.ndarray:
     offsets = np.append(begins, len(episode)).astype(np.int64)
     expected = np.arange(len(frame)) - np.repeat(offsets[:-1], np.diff(offsets))
     if len(np.unique(episode)) != len(begins) or not np.array_equal(frame, expected):
-        raise SourceError(f"{root}: frames of an episode are not one behind the other. Make it again with `jiti curate`.")
+        raise SourceError(
+            f"{root}: frames of an episode are not one behind the other. Make it again with `jiti curate`."
+        )
     return offsets
 
 
@@ -254,7 +265,10 @@ def _episodes(root: Path, table: pa.Table, offsets: np.ndarray) -> dict[str, np.
     splits = ["train"] * len(numbers)
     path = root / "meta/jiti/episodes.parquet"
     if path.exists():
-        rows = {row["episode_index"]: row for row in _read(path, ["episode_index", "episode_id", "task_id", "split"]).to_pylist()}
+        rows = {
+            row["episode_index"]: row
+            for row in _read(path, ["episode_index", "episode_id", "task_id", "split"]).to_pylist()
+        }
         if missing := [int(n) for n in numbers if n not in rows]:
             raise SourceError(f"{path} lacks episode {missing[0]}. Make the dataset again with `jiti curate`.")
         tasks = [rows[n]["task_id"] or task for n, task in zip(numbers, tasks, strict=True)]

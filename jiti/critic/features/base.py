@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     import torch
 
 Batch = Mapping[str, Any]
-"""Observations of B frames, as LeRobotDataset's items are after torch's default collation: `observation.state` (B, n) and
-`observation.environment_state` (B, n) float32, `observation.images.<camera>` (B, 3, H, W) float32 in 0 to 1, `task` a list
-of B instructions. It has at least the keys of the extractor's `needs`."""
+"""Observations of B frames, as LeRobotDataset's items are after torch's default collation: `observation.state` (B, n)
+and `observation.environment_state` (B, n) float32, `observation.images.<camera>` (B, 3, H, W) float32 in 0 to 1,
+`task` a list of B instructions. It has at least the keys of the extractor's `needs`."""
 
 Shapes = Mapping[str, tuple[int, ...]]
 """What observations there are: a dataset's (or an environment's) features by name, with the shape of one frame."""
@@ -29,8 +29,8 @@ KINDS = {
 class FeatureExtractor(Protocol):
     """Observations to features, frozen: the same observation gives the same features, in whatever batch it comes.
 
-    `features` of B frames has shape (B, tokens, size), in float32 or bfloat16, on any device, without gradients. A token
-    that is zero throughout is padding: what has fewer than `tokens` is filled up with them.
+    `features` of B frames has shape (B, tokens, size), in float32 or bfloat16, on any device, without gradients. A
+    token that is zero throughout is padding: what has fewer than `tokens` is filled up with them.
     """
 
     @property

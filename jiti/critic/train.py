@@ -1,0 +1,252 @@
+"""Training a critic: `init_state`, `train_step`, `save`, `load`, `train`.
+
+A step is a function of the state, the data and the step's number: which chunks it takes and which noise it draws follow
+from (seed, step). So a run that was stopped goes on exactly as if it had not been, and several processes that
+share a batch do what one would.
+"""
+
+import json
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch  # noqa: TID253  this module is imported late, by the command
+
+import jiti
+from jiti.critic.checkpoint import checkpoint_folder, checkpoints, drop_old, load, save
+from jiti.critic.chunks import BatchOrder, action_range, cut_chunks
+from jiti.critic.critic import Critic, Sizes, make_critic, save_critic
+from jiti.critic.dataset import ElegantData, read_elegant
+from jiti.critic.features.cache import FeatureCache, feature_cache
+from jiti.critic.metrics import Metrics
+from jiti.critic.ranking import decided_segments, rank, segment_scores, shuffled_rewards
+from jiti.critic.settings import Settings
+from jiti.critic.settings_file import differences, settings_from, settings_to
+from jiti.critic.step import Batch, State, bellman_error, draw_noise, fit_to_data, init_state, to_batch, train_step
+from jiti.critic.team import Team
+from jiti.errors import SourceError, UsageError
+from jiti.progress import Progress
+
+__all__ = ["Trained", "init_state", "load", "open_data", "save", "train", "train_step"]
+
+FIT_FRAMES = 20_000
+"""Frames that normalization is fitted to, at most. Our choice: means are exact to a hundredth of a deviation."""
+LOOK_FRAMES = 512
+"""Validation frames whose temporal-difference error is looked at. Our choice: a second on two cores."""
+MAY_CHANGE = {"run.steps", "run.patience", "run.device", "run.log_every", "run.check_every"}
+"""Settings with which a run may go on."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a run came to."""
+
+    run: Path
+    step: int
+    best: dict[str, float]
+    """Of the step that is kept as `RUN/model.safetensors`: `auc`, `bellman`, `step`; empty without a validation split."""
+    stopped_early: bool
+
+    def __str__(self) -> str:
+        why = ", where validation had not become better for a while" if self.stopped_early else ""
+        kept = (
+            f"step {self.best['step']:.0f} is kept, AUC {self.best['auc']:.2f} on validation" if self.best else "kept"
+        )
+        return f"Trained to step {self.step}{why}: {kept}. Next: jiti train-critic --evaluate {self.run}"
+
+
+def train(
+    dataset: Path,
+    run: Path,
+    settings: Settings,
+    *,
+    features_dir: Path | None = None,
+    workers: int = 1,
+    progress: Progress = lambda _share, _what: None,
+    data: ElegantData | None = None,
+) -> Trained:
+    """Train a critic, or go on where `run` stands. `data` replaces what is read from `dataset`, for other splits.
+
+    Raises SourceError for a dataset without labels, UsageError for a run that was made with other settings.
+    """
+    team = Team(settings.run.device)
+    team.check_batch(settings.run.batch)
+    known = _known(run, settings)
+    data = open_data(data or read_elegant(dataset), settings)
+    teaching, checking = data.of_split("train"), data.of_split("validation")
+    _check(data, teaching)
+    cache = _features(data, settings, features_dir, workers, team, progress)
+
+    torch.manual_seed(settings.run.seed)
+    sizes = Sizes(cache.size, cache.tokens, data.action.shape[1])
+    critic = make_critic(settings.network, sizes, action_range(data, teaching), _about(data, cache, settings))
+    frames = data.frames_of(teaching)
+    fit_to_data(critic, cache.read(frames[:: max(1, len(frames) // FIT_FRAMES)]), data.mc_return[frames])
+    state = init_state(critic, settings, team.device)
+    if known:
+        load(state, known)
+
+    order = BatchOrder(frames, settings.run.batch, settings.run.seed)
+    looking = _Looking(data, cache, checking, settings, team)
+    metrics = Metrics(run, state.step) if team.leads else None
+    stopped = _enough(state, settings)
+    try:
+        while state.step < settings.run.steps and not stopped:
+            batch = _batch(data, cache, team.share(order.step(state.step)), critic, settings, team)
+            noise = draw_noise(settings, sizes.action, state.step, team)
+            told = train_step(state, batch, noise, settings, team)
+            step = state.step
+            if metrics and step % settings.run.log_every == 0:
+                metrics.add(step, {name: float(value) for name, value in told.items()})
+            progress(step / settings.run.steps, f"step {step} of {settings.run.steps}")
+            if step % settings.run.check_every == 0 or step == settings.run.steps:
+                seen, better = looking.look(state)
+                stopped = _enough(state, settings)
+                if metrics:
+                    metrics.add(step, {f"validation/{name}": value for name, value in seen.items()})
+                    metrics.flush(step)
+                    if better:
+                        save_critic(critic, run, {"step": step, "validation": seen})
+                    save(state, checkpoint_folder(run, step), {})
+                    drop_old(run)
+                team.wait()
+    finally:
+        if metrics:
+            metrics.close()
+    return Trained(run, state.step, state.best, stopped and state.step < settings.run.steps)
+
+
+def open_data(data: ElegantData, settings: Settings) -> ElegantData:
+    """The data with the discount of the settings, and with verdicts dealt anew where they say so."""
+    gamma = data.gamma if settings.data.gamma is None else settings.data.gamma
+    if settings.data.shuffle_labels:
+        return data.with_rewards(shuffled_rewards(data, settings.run.seed), gamma)
+    return data if gamma == data.gamma else data.with_rewards(data.reward, gamma)
+
+
+class _Looking:
+    """Looks at the validation split: ranking of decided segments first, temporal-difference error where that is equal."""
+
+    def __init__(
+        self, data: ElegantData, cache: FeatureCache, episodes: np.ndarray, settings: Settings, team: Team
+    ) -> None:
+        self._data, self._cache, self._settings, self._team = data, cache, settings, team
+        self._segments = decided_segments(data, episodes)
+        frames = data.frames_of(episodes)
+        self._frames = frames[:: max(1, len(frames) // LOOK_FRAMES)][:LOOK_FRAMES]
+
+    def look(self, state: State) -> tuple[dict[str, float], bool]:
+        """What was seen, and whether the critic is the best so far, which is always so without a validation split."""
+        if not len(self._frames):
+            return {}, True
+        critic = state.critic
+        ranking = rank(segment_scores(critic, self._data, self._cache, self._segments), self._segments)
+        batch = _batch(self._data, self._cache, self._frames, critic, self._settings, self._team)
+        error = bellman_error(state, batch, self._settings.loss)
+        seen = {"auc": ranking.average, "bellman": error} | {f"auc/{k}": v for k, v in ranking.auc.items()}
+        score = (0.0 if np.isnan(ranking.average) else ranking.average, -error)
+        before = (state.best["auc"], -state.best["bellman"]) if state.best else (-1.0, 0.0)
+        better = score > before
+        if better:
+            state.best = {"auc": score[0], "bellman": error, "step": float(state.step)}
+        state.looks_without_better = 0 if better else state.looks_without_better + 1
+        return seen, better
+
+
+def _batch(
+    data: ElegantData, cache: FeatureCache, frames: np.ndarray, critic: Critic, settings: Settings, team: Team
+) -> Batch:
+    chunks = cut_chunks(
+        data,
+        frames,
+        chunk=settings.network.chunk,
+        offset=settings.loss.td_offset,
+        gamma=data.gamma,
+        limits=critic.limits,
+    )
+    return to_batch(chunks, cache.read(frames), cache.read(chunks.next_frame), team.device)
+
+
+def _features(
+    data: ElegantData, settings: Settings, folder: Path | None, workers: int, team: Team, progress: Progress
+) -> FeatureCache:
+    """The leading process computes what is missing; the others read it."""
+
+    def get(count: int) -> FeatureCache:
+        device = str(team.device)
+        return feature_cache(
+            data, settings.data.features, folder=folder, device=device, workers=count, progress=progress
+        )
+
+    if team.leads:
+        made = get(workers)
+        team.wait()
+        return made
+    team.wait()
+    return get(1)
+
+
+def _check(data: ElegantData, episodes: np.ndarray) -> None:
+    if not len(episodes):
+        raise SourceError(
+            f"{data.root}: no labelled episode is in split train; there are "
+            f"{int(data.labelled.sum())} labelled of {data.episodes} episodes. Run `jiti curate` with other splits."
+        )
+    kinds = {segment.elegant for segment in decided_segments(data, episodes)}
+    if len(kinds) == 1:
+        word = "satisfied" if kinds.pop() else "violated"
+        raise SourceError(
+            f"{data.root}: every decided segment of split train is {word}, so there is nothing to tell apart. "
+            "Add demonstrations of the other kind with `jiti curate`."
+        )
+
+
+def _enough(state: State, settings: Settings) -> bool:
+    return 0 < settings.run.patience <= state.looks_without_better
+
+
+def _known(run: Path, settings: Settings) -> Path | None:
+    """The newest checkpoint of a run with these settings, or None where there is none. Raises UsageError."""
+    found = checkpoints(run)
+    if not found:
+        if run.exists() and any(run.iterdir()) and not (run / "metrics").exists():
+            raise UsageError(f"--out {run} is not empty, and no run of this command. Name another folder.")
+        return None
+    try:
+        old = settings_from(json.loads((found[0] / "config.json").read_bytes())["settings"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SourceError(
+            f"{found[0]} is damaged: {error!r}. Delete it; training goes on from the one before."
+        ) from error
+    if changed := [name for name in differences(old, settings) if name not in MAY_CHANGE]:
+        raise UsageError(
+            f"--out {run} holds a run with another {', '.join(changed)}. Name another folder, or pass the same settings to "
+            "go on with it."
+        )
+    return found[0]
+
+
+def _about(data: ElegantData, cache: FeatureCache, settings: Settings) -> dict[str, Any]:
+    return {
+        "settings": settings_to(settings),
+        "extractor": {"name": cache.extractor, "fingerprint": cache.fingerprint},
+        "dataset": {
+            "path": str(data.root.resolve()),
+            "fingerprint": data.fingerprint,
+            "gamma": data.gamma,
+            "fps": data.fps,
+        },
+        "jiti": jiti.__version__,
+        "git": git_revision(),
+    }
+
+
+def git_revision() -> str | None:
+    """The revision of the checkout that this code runs from, if it does."""
+    root = Path(jiti.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    asked = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return asked.stdout.strip() or None
