@@ -31,6 +31,21 @@ class Stage(StrEnum):
     verdicts = "verdicts"
 
 
+class Unlabelled(StrEnum):
+    """What becomes of episodes without labels."""
+
+    leave = "leave"
+    keep = "keep"
+
+
+class VideoCodec(StrEnum):
+    """How videos are encoded."""
+
+    h264 = "h264"
+    hevc = "hevc"
+    av1 = "av1"
+
+
 class Engine(StrEnum):
     """Where episodes are worked on."""
 
@@ -333,6 +348,102 @@ def autolabel(
                 done = command.estimate_request(request, session, progress)
             else:
                 done = command.run_request(request, session, progress)
+    print(done.to_json() if as_json else done)
+
+
+@app.command(short_help="Make a LeRobot dataset of recordings and their labels.")
+def curate(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SOURCE]...",
+            help="MCAP files, folders of them, LeRobot folders or Hub ids, merged. Default: the current folder.",
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the dataset.")] = None,
+    labels: Annotated[
+        list[Path] | None,
+        typer.Option("--labels", help="Folder of the labels: one for all sources, or one for each. Default: beside."),
+    ] = None,
+    tasks: Tasks = None,
+    rule: Annotated[
+        str, typer.Option("--rule", help="Whose labels count: majority, adjudicated, or one annotator's name.")
+    ] = "majority",
+    accept: Annotated[
+        list[str] | None,
+        typer.Option("--accept", help="Count a machine's proposals that no one has settled (sim); may be repeated."),
+    ] = None,
+    unlabelled: Annotated[
+        Unlabelled, typer.Option("--unlabelled", help="Leave episodes without labels out, or keep them.")
+    ] = Unlabelled.leave,
+    features: Annotated[
+        Path | None, typer.Option("--features", help="A TOML file: which stream becomes which feature.")
+    ] = None,
+    show_features: Annotated[
+        bool, typer.Option("--print-features", help="Print the automatic mapping as such a file, and end.")
+    ] = False,
+    fps: Annotated[
+        int | None, typer.Option("--fps", min=1, max=1000, help="Resample to this rate. Default: the recordings' own.")
+    ] = None,
+    condition: Annotated[
+        str | None,
+        typer.Option("--filter", help="Keep only these episodes: 'reward == 1', 'success and frames < 400'."),
+    ] = None,
+    split: Annotated[
+        str, typer.Option("--split", help="Shares of train, validation and test, by episode.")
+    ] = "0.8,0.1,0.1",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the splits.")] = 0,
+    unseen: Annotated[
+        list[str] | None,
+        typer.Option("--unseen", help="A task that goes whole into the split `unseen`; may be repeated."),
+    ] = None,
+    gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the return.")] = 0.98,
+    codec: Annotated[
+        VideoCodec | None,
+        typer.Option("--codec", help="Encode videos with it. Default: copy LeRobot's videos, h264 for the rest."),
+    ] = None,
+    crf: Annotated[int | None, typer.Option("--crf", min=0, max=63, help="Quality of videos: lower is better.")] = None,
+    weights: Annotated[
+        bool, typer.Option("--weights", help="Write weights of frames too, as lerobot-train takes them (RA-BC).")
+    ] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write a page about the dataset; without --out, of the dataset SOURCE.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dataset that is there.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Merge recordings and the labels that count into D_elegant, a LeRobot v3 dataset; a stopped run goes on.
+
+    Examples: jiti curate demos --accept sim --out d-elegant; jiti curate a b --out d --filter 'reward == 1' --weights
+    """
+    from jiti.curate.export import command
+
+    request = command.Request(
+        sources=tuple(sources or ()),
+        out=out,
+        labels=tuple(labels or ()),
+        tasks=tuple(tasks or ()),
+        rule=rule,
+        accept=tuple(accept or ()),
+        unlabelled=unlabelled.value,
+        features=features,
+        fps=fps,
+        condition=condition,
+        split=split,
+        seed=seed,
+        unseen=tuple(unseen or ()),
+        gamma=gamma,
+        codec=codec.value if codec else None,
+        crf=crf,
+        weights=weights,
+        report=report,
+        overwrite=overwrite,
+    )
+    if show_features:
+        print(command.print_features(request), end="")
+        return
+    with _progress("Curating") as progress:
+        done = command.run(request, progress)
     print(done.to_json() if as_json else done)
 
 

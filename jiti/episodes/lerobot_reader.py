@@ -111,6 +111,11 @@ class LeRobotEpisode:
         """Pictures straight from the video file; None for cameras without one."""
         return self._pictures[stream].decode(list(frames))
 
+    def clip(self, stream: str) -> Clip | None:
+        """The part of a video file that holds a camera's pictures as they are shown; None where none does."""
+        pictures = self._pictures.get(stream)
+        return pictures.clip if isinstance(pictures, VideoPictures) and pictures.stream.kind == "camera" else None
+
     def _numbers(self, names: list[str]) -> Iterator[NumericBatch]:
         if self._rows is None:
             return

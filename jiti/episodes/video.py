@@ -25,7 +25,13 @@ class DecodesItself(Protocol):
 
 
 def decode_frames(episode: Episode, stream: str, frames: Iterable[int]) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield `(frame, picture)` in the order of the frames, each once; a picture is (height, width, 3) uint8 RGB.
+    """As `decode_pictures`, with pictures as (height, width, 3) uint8 RGB."""
+    for frame, picture in decode_pictures(episode, stream, frames):
+        yield frame, to_rgb(picture)
+
+
+def decode_pictures(episode: Episode, stream: str, frames: Iterable[int]) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Yield `(frame, picture)` in the order of the frames, each once.
 
     A frame shows the latest picture at or before its time; frames before the stream's first picture, and those that a
     recording lacks, are left out. Raises SourceError for a stream that has no pictures, a frame that is not in the
@@ -41,8 +47,7 @@ def decode_frames(episode: Episode, stream: str, frames: Iterable[int]) -> Itera
         bad = wanted[0] if wanted[0] < 0 else wanted[-1]
         raise SourceError(f"{episode.episode_id} has no frame {bad}; it has 0 to {count - 1}.")
     own = episode.decode(stream, wanted) if isinstance(episode, DecodesItself) else None
-    for frame, picture in own if own is not None else _through_read(episode, stream, wanted):
-        yield frame, to_rgb(picture)
+    yield from own if own is not None else _through_read(episode, stream, wanted)
 
 
 def _through_read(episode: Episode, stream: str, wanted: list[int]) -> Iterator[tuple[int, av.VideoFrame]]:

@@ -13,7 +13,9 @@ _ACTION_NAMES = ("action", "actions", "command", "commands", "joint_commands", "
 """Last parts of topics that say what the robot was told, the likeliest first. Our choice: what drivers call them."""
 _STATE_NAMES = ("proprio", "state", "joint_states", "joint_state", "joints", "joint_positions", "robot_state")
 """Last parts of topics that say how the robot is, the likeliest first. Our choice; `proprio` is what LIBERO takes."""
-_TRANSPORT = {"image", "image_raw", "image_rect", "compressed", "color", "rgb", "camera", "cameras", "raw", "video", "h264"}
+_TRANSPORT = {
+    "image", "image_raw", "image_rect", "compressed", "color", "rgb", "camera", "cameras", "raw", "video", "h264",
+}  # fmt: skip
 """Parts of a camera's topic that say how and not which. Our choice, from ROS 2's image transports."""
 _POSITION = ".position"
 """End of the names of components of joint states that are positions; velocities and efforts are left out."""
@@ -69,7 +71,7 @@ def _lacks(key: str, episode: Episode, title: str) -> SourceError:
 
 
 def _cameras(topics: Iterable[str]) -> list[Feature]:
-    """`/camera/front/image_raw` becomes `observation.images.front`; names that meet are told apart by all their parts."""
+    """`/camera/front/image_raw` becomes `observation.images.front`; all parts tell names apart that meet."""
     names: dict[str, str] = {}
     for topic in topics:
         parts = [p for p in re.split(r"[^A-Za-z0-9]*/[^A-Za-z0-9]*", topic.strip("/")) if p]

@@ -1,19 +1,20 @@
 """Write a planned dataset: piece by piece beside its place, then all of it at once under its name."""
 
-import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 
-from jiti.curate.export.features import Shape
-from jiti.curate.export.frames import frames_of
-from jiti.curate.export.journal import Done, Journal
+from jiti.curate.export.codec import Codec
+from jiti.curate.export.frames import Frames, frames_of
+from jiti.curate.export.journal import Done, DoneVideo, Journal
 from jiti.curate.export.meta import (
     DATA_PATH,
     VIDEO_PATH,
@@ -28,11 +29,15 @@ from jiti.curate.export.meta import (
 )
 from jiti.curate.export.numbers import read_numbers
 from jiti.curate.export.plan import Plan, PlannedEpisode, Progress
-from jiti.curate.export.rows import data_schema, episode_columns, to_table
+from jiti.curate.export.remux import join_videos
+from jiti.curate.export.rows import DERIVED, INDEX, data_schema, episode_columns, frame_labels, to_table
 from jiti.curate.export.shards import DATA_FILE_BYTES, VIDEO_FILE_BYTES, Joiner, Places, join_tables
 from jiti.curate.export.sources import Source
 from jiti.curate.export.stats import Stats, column_stats, merged
+from jiti.curate.export.videos import Camera, make_video
+from jiti.curate.export.weights import WEIGHTS_FILE, label_progress, write_weights
 from jiti.durable import sync, sync_folder
+from jiti.episodes.episode import Episode
 from jiti.errors import JitiError, SaveFailed
 from jiti.tasks.task import Task
 
@@ -47,7 +52,11 @@ class Output:
     """For `meta/jiti/curate.json`."""
     card: str
     """README.md."""
-    overwrite: bool = False
+    codec: Codec | None = None
+    """None to copy videos where that can be, and else h264."""
+    robot: str | None = None
+    weights: bool = False
+    """Whether weights for `lerobot-train` are written beside it."""
 
 
 def build(plan: Plan, sources: Sequence[Source], output: Output, progress: Progress = lambda _s, _w: None) -> list[str]:
@@ -79,6 +88,8 @@ class _Writer:
         self._schema = data_schema(plan.shapes)
         self._task_index = {text: number for number, text in enumerate(plan.instructions)}
         self._data = Joiner(journal.dataset, DATA_PATH, DATA_FILE_BYTES, join_tables)
+        join = partial(join_videos, fps=plan.fps)
+        self._videos = {key: Joiner(journal.dataset, _path_of(key), VIDEO_FILE_BYTES, join) for key in _cameras(plan)}
 
     def piece(self, planned: PlannedEpisode, source: Source) -> Done:
         """Make one episode's files."""
@@ -91,34 +102,77 @@ class _Writer:
         columns = episode_columns(planned, numbers, self._plan.fps, self._output.gamma, task_index)
         path = self._journal.piece(planned.index, "data.parquet")
         pq.write_table(to_table(columns, self._schema), path, compression="snappy", use_dictionary=True)
-        stats: dict[str, Stats] = {key: column_stats(values) for key, values in columns.items()}
-        return Done(planned.index, path.stat().st_size, {}, stats, ())
+        made = self._make_videos(planned, episode, frames, title)
+        stats: dict[str, Stats] = {}
+        for key in (*self._plan.shapes, *DERIVED, *INDEX):
+            stats[key] = made[key][1] if key in made else column_stats(columns[key])
+        videos = {key: video for key, (video, _, _) in made.items()}
+        notes = tuple(note for _, _, note in made.values() if note)
+        return Done(planned.index, path.stat().st_size, videos, stats, notes)
 
     def place(self, planned: PlannedEpisode, done: Done) -> None:
         """Give a finished piece to the files."""
         self._data.add(self._journal.piece(planned.index, "data.parquet"), done.data_bytes, planned.frames)
+        for key, video in done.videos.items():
+            self._videos[key].add(self._video(planned, key), video.size_bytes, planned.frames, video.kind)
+
+    def _video(self, planned: PlannedEpisode, key: str) -> Path:
+        return self._journal.piece(planned.index, f"{key}.mp4")
+
+    def _make_videos(
+        self, planned: PlannedEpisode, episode: Episode, frames: Frames, title: str
+    ) -> dict[str, tuple[DoneVideo, Stats, str]]:
+        """All cameras at once, a thread each: encoders and decoders leave Python alone."""
+        wanted = [
+            Camera(one.key, one.camera, self._plan.shapes[one.key].shape[:2], self._video(planned, one.key))
+            for one in planned.features
+            if one.camera is not None
+        ]
+        if not wanted:
+            return {}
+        with ThreadPoolExecutor(len(wanted), thread_name_prefix="encode") as pool:
+            make = partial(make_video, episode, frames, self._plan.fps, self._output.codec, title)
+            return {camera.key: made for camera, made in zip(wanted, pool.map(make, wanted), strict=True)}
 
     def finish(self) -> None:
         """Write what is left and all that stands beside it."""
-        self._data.close()
+        for joiner in (self._data, *self._videos.values()):
+            joiner.close()
         root, plan = self._journal.dataset, self._plan
         (root / "meta").mkdir(exist_ok=True)
         total: dict[str, Stats] | None = None
+        described: dict[str, Mapping[str, Any]] = {}
         for done in self._journal.all():
             total = merged(total, done.stats)
-        write_info(root, plan, {}, None)
+            for key, video in done.videos.items():
+                described.setdefault(key, video.info)
+        write_info(root, plan, described, self._output.robot)
         write_tasks(root, plan)
         write_stats(root, total or {})
         write_episode_table(root, plan, self._rows())
         write_own(root, plan, self._output.about)
         write_labels(root, plan)
+        if self._output.weights:
+            write_weights(root / WEIGHTS_FILE, ((p.index, label_progress(*frame_labels(p))) for p in plan.episodes))
         (root / "README.md").write_text(self._output.card)
 
     def _rows(self) -> Iterator[tuple[PlannedEpisode, Mapping[str, Any], Mapping[str, Stats]]]:
         data = Places(DATA_FILE_BYTES)
+        files = {key: Places(VIDEO_FILE_BYTES) for key in _cameras(self._plan)}
         for planned, done in zip(self._plan.episodes, self._journal.all(), strict=True):
             where = data_columns(data.next(done.data_bytes, planned.frames), planned)
+            for key, video in done.videos.items():
+                place = files[key].next(video.size_bytes, planned.frames, video.kind)
+                where |= video_columns(key, place, planned.frames, self._plan.fps)
             yield planned, where, done.stats
+
+
+def _cameras(plan: Plan) -> list[str]:
+    return [key for key, shape in plan.shapes.items() if shape.dtype == "video"]
+
+
+def _path_of(key: str) -> str:
+    return VIDEO_PATH.replace("{video_key}", key)
 
 
 def _put(partial: Path, dataset: Path, output: Output) -> None:
@@ -156,9 +210,6 @@ def _refused(partial: Path, root: Path, error: BaseException) -> SaveFailed:
     number = getattr(error, "errno", None)
     reason = (os.strerror(number) if number else str(error)).lower()
     return SaveFailed(
-        f"{root} could not be written: {reason}. Nothing is there that was not there before; finished episodes are kept "
-        f"in {partial}. Make room and run the same command, which goes on there, or remove that folder."
+        f"{root} could not be written: {reason}. Nothing is there that was not there before; finished episodes are "
+        f"kept in {partial}. Make room and run the same command, which goes on there, or remove that folder."
     )
-
-
-__all__ = ["VIDEO_FILE_BYTES", "VIDEO_PATH", "Shape", "json", "video_columns"]

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from jiti.annotate.labels import Labels, read_labels
-from jiti.annotate.names import ADJUDICATED, MACHINES
+from jiti.annotate.names import MACHINES
 from jiti.annotate.segment_file import Recording, to_segments
 from jiti.annotate.segments import Segment
 from jiti.curate.verdicts import replaced
@@ -59,7 +59,8 @@ def read_counted(labels_dir: Path, rule: Rule, *, episodes: Sequence[str] | None
     if annotators and (missing := [name for name in (*wanted, *rule.accept) if name not in annotators]):
         flag = "--accept" if missing[0] in rule.accept else "--rule"
         raise LabelError(
-            f"{labels_dir} has no labels of {missing[0]!r}, whom {flag} names; it has labels of: {', '.join(annotators)}."
+            f"{labels_dir} has no labels of {missing[0]!r}, whom {flag} names; there are labels of: "
+            f"{', '.join(annotators)}."
         )
     return Counted(_by_episode(table, rule), _agreed(labels, labels_dir), annotators)
 
@@ -104,6 +105,3 @@ def _agreed(labels: Labels, labels_dir: Path) -> dict[str, Recording]:
                 "Look which one is here with `jiti validate-rewards --check`, and correct or remove the other's labels."
             )
     return {episode_id: recording for episode_id, (_, recording) in found.items()}
-
-
-__all__ = ["ADJUDICATED", "MAJORITY", "Counted", "Rule", "counts", "read_counted"]

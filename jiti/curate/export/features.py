@@ -68,7 +68,7 @@ PICTURE_NAMES = ("height", "width", "channels")
 
 
 def shapes(features: Sequence[Feature], episode: Episode, title: str) -> dict[str, Shape]:
-    """The shape of each feature in one recording. Raises SourceError for a stream that is not there or of a wrong kind."""
+    """The shape of each feature in one recording. Raises SourceError for a stream that is not there."""
     return {feature.key: _shape(feature, episode, title) for feature in features}
 
 
@@ -89,12 +89,13 @@ def columns_of(feature: Feature, stream: Stream, title: str) -> list[int]:
 
 def _shape(feature: Feature, episode: Episode, title: str) -> Shape:
     if feature.scene_state:
-        names = scene_state_names()
-        return Shape("float32", (len(names),), names)
+        return Shape("float32", (len(scene_state_names()),), scene_state_names())
     if feature.camera is not None:
         stream = _stream(feature, feature.camera, "camera", episode, title)
         if len(stream.shape) < 2 or not all(stream.shape[:2]):
-            raise SourceError(f"{title}, {stream.name}: does not say how large its pictures are. Leave this camera out.")
+            raise SourceError(
+                f"{title}, {stream.name}: does not say how large its pictures are. Leave this camera out."
+            )
         height, width = (max(2, size & ~1) for size in stream.shape[:2])  # 4:2:0 needs even numbers
         return Shape("video", (height, width, 3), PICTURE_NAMES)
     names: list[str] = []

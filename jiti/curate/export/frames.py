@@ -10,7 +10,7 @@ from jiti.episodes.clock import Clock, fixed_rate
 from jiti.errors import UsageError
 
 RATE_TOLERANCE = 0.02
-"""Share by which a recording's median rate may differ from a whole number. Our choice: cameras of 30 Hz run at 29.97."""
+"""Share by which a recording's median rate may differ from a whole number. Our choice: 30 Hz are often 29.97."""
 SLACK_NS = 1000
 """A sample this much later than a frame still belongs to it. Our choice: times are rounded to nanoseconds twice."""
 

@@ -103,9 +103,7 @@ def stats_to_json(stats: Mapping[str, Stats]) -> dict[str, Any]:
 
 def stats_from_json(told: Mapping[str, Any]) -> dict[str, Stats]:
     """See `stats_to_json`."""
-    return {
-        key: {name: np.array(value, dtype) for name, (dtype, value) in one.items()} for key, one in told.items()
-    }
+    return {key: {name: np.array(value, dtype) for name, (dtype, value) in one.items()} for key, one in told.items()}
 
 
 def write_episode_table(
@@ -256,5 +254,3 @@ def _row(planned: PlannedEpisode, where: Mapping[str, Any], stats: Mapping[str, 
 def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
-
-

@@ -1,4 +1,4 @@
-"""Everything about a dataset that is known before anything is written: its episodes, their frames, labels and splits."""
+"""Everything about a dataset that is known before anything is written: episodes, frames, labels, splits."""
 
 import hashlib
 import json
@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-
 
 import pyarrow as pa
 
@@ -156,7 +155,7 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
 
 def segments_table(rows: Sequence[tuple[str, Segment]]) -> pa.Table:
     """What `read_segments` would give for these rows."""
-    columns = [pa.array([getattr(segment, name) for _, segment in rows], SCHEMA.field(name).type) for name in SCHEMA.names]
+    columns = [pa.array([getattr(segment, field.name) for _, segment in rows], field.type) for field in SCHEMA]
     annotators = pa.array([annotator for annotator, _ in rows], pa.string())
     return pa.Table.from_arrays([*columns, annotators], names=[*SCHEMA.names, "annotator"])
 
@@ -169,7 +168,8 @@ def _check_labels(source: Source) -> None:
         more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         raise LabelError(
             f"{source.labels_dir} has labels of {lost[0]!r}{more}, and {source.name} has no such episode. "
-            f"Restore the recording, or move its labels away: {source.labels_dir}/segments/annotator=*/{lost[0]}.parquet."
+            "Restore the recording, or move its labels away: "
+            f"{source.labels_dir}/segments/annotator=*/{lost[0]}.parquet."
         )
 
 
@@ -291,10 +291,10 @@ def _check_shapes(found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]
                     f"{key!r} is {_size(expected[key])} in {one}, and {_size(there)} in {other}. {remedy}"
                 )
             if there.names and expected[key].names and there.names != expected[key].names:
-                differs = next(k for k, pair in enumerate(zip(there.names, expected[key].names, strict=True)) if pair[0] != pair[1])
+                pairs = enumerate(zip(expected[key].names, there.names, strict=True))
+                place, (name, name_there) = next((k, pair) for k, pair in pairs if pair[0] != pair[1])
                 raise SourceError(
-                    f"number {differs} of {key!r} is {expected[key].names[differs]!r} in {one}, and "
-                    f"{there.names[differs]!r} in {other}. {remedy}"
+                    f"number {place} of {key!r} is {name!r} in {one}, and {name_there!r} in {other}. {remedy}"
                 )
 
 
@@ -363,6 +363,3 @@ def _digest(episodes: Sequence[PlannedEpisode], shape: Mapping[str, Shape], fps:
         told = [episode.source, episode.episode_id, episode.fingerprint, episode.split, episode.task_id, rows, mapping]
         digest.update(json.dumps(told, sort_keys=True).encode())
     return digest.hexdigest()
-
-
-

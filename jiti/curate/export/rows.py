@@ -56,17 +56,17 @@ def episode_columns(
 ) -> dict[str, np.ndarray]:
     """All columns of one episode: (frames, size) for vectors, (frames,) for the rest."""
     count = planned.frames
-    rewards = frame_rewards(segments_table(planned.segments), {episode_id_of(planned.index): count})
-    returns = mc_returns(rewards.reward, rewards.offsets, gamma)
+    reward, annotated = frame_labels(planned)
+    returns = mc_returns(reward, np.array([0, count]), gamma)
     last = np.zeros(count, bool)
     last[-1] = True
     frame_index = np.arange(count)
     columns = {key: values[:, 0] if values.shape[1] == 1 else values for key, values in numbers.items()}
     return columns | {
-        "next.reward": rewards.reward,
+        "next.reward": reward,
         "next.done": last,
         "next.success": last & (planned.success is True),
-        "elegance.annotated": rewards.annotated,
+        "elegance.annotated": annotated,
         "elegance.mc_return": returns.astype(np.float32),
         "timestamp": (frame_index / fps).astype(np.float32),
         "frame_index": frame_index,
@@ -74,6 +74,12 @@ def episode_columns(
         "index": planned.first_frame + frame_index,
         "task_index": np.full(count, task_index),
     }
+
+
+def frame_labels(planned: PlannedEpisode) -> tuple[np.ndarray, np.ndarray]:
+    """Reward (frames,) float32 and whether a constraint is decided there (frames,) bool."""
+    rewards = frame_rewards(segments_table(planned.segments), {episode_id_of(planned.index): planned.frames})
+    return rewards.reward, rewards.annotated
 
 
 def to_table(columns: Mapping[str, np.ndarray], schema: pa.Schema) -> pa.Table:

@@ -96,4 +96,4 @@ def join_tables(pieces: Sequence[Path], path: Path) -> None:
     schema = pq.read_schema(pieces[0])
     with pq.ParquetWriter(path, schema, compression="snappy", use_dictionary=True) as writer:
         for piece in pieces:
-            writer.write_table(pq.read_table(piece, schema=schema, partitioning=None))
+            writer.write_table(pq.ParquetFile(piece).read())

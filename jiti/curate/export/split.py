@@ -30,10 +30,10 @@ def parse_shares(text: str) -> tuple[float, float, float]:
 def split_episodes(
     strata: Sequence[Hashable], unseen: Sequence[bool], shares: tuple[float, float, float], seed: int
 ) -> list[str]:
-    """A split for each episode, in order; those marked unseen are `unseen`, and the rest is divided within each stratum.
+    """A split for each episode, in order; those marked are `unseen`, the rest is divided within each stratum.
 
     Each stratum is shuffled with the seed. Its episodes go, one by one, to the split that lacks most of its share of
-    the stratum, and among equals to the one that lacks most overall, so that small strata do not all round the same way.
+    the stratum, and among equals to the one that lacks most overall: small strata do not all round the same way.
     """
     found = [UNSEEN] * len(strata)
     overall: Counter[str] = Counter()
