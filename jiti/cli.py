@@ -514,6 +514,47 @@ def demo(
         annotate(str(out), port=port, no_browser=no_browser)
 
 
+@app.command("train-critic", short_help="Train the Elegance Critic on D_elegant.")
+def train_critic(
+    dataset: Annotated[
+        Path | None, typer.Argument(help="A dataset of `jiti curate`. With --evaluate: the run's.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the run; a run there goes on.")] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="TOML file of settings. Default: the paper's.")
+    ] = None,
+    features: Annotated[
+        str | None, typer.Option("--features", help="state, or smolvla:, groot:, policy: and a folder or Hub id.")
+    ] = None,
+    steps: Annotated[int | None, typer.Option("--steps", min=1, help="Gradient steps.")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of weights, order and noise.")] = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes that compute features.")] = 1,
+    cache: Annotated[
+        Path | None, typer.Option("--cache", help="Folder of features. Default: your cache folder.")
+    ] = None,
+    evaluate: Annotated[
+        Path | None, typer.Option("--evaluate", metavar="RUN", help="Say how well the critic of a run does.")
+    ] = None,
+    split: Annotated[str, typer.Option("--split", help="Episodes for --evaluate.")] = "test",
+    episodes: Annotated[
+        list[int] | None, typer.Option("--episode", help="With --evaluate: one to show in Rerun; may be repeated.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Train the Elegance Critic by Cal-QL, or say how well one does on episodes that it did not see.
+
+    Example: jiti train-critic dataset --out run && jiti train-critic --evaluate run
+    """
+    from jiti.critic.command import Request, evaluate_request, train_request
+
+    request = Request(
+        dataset, out, config, features, steps, seed, workers, cache, evaluate, split, tuple(episodes or ())
+    )
+    with _progress("Evaluating" if evaluate else "Training") as progress:
+        done = evaluate_request(request, progress) if evaluate else train_request(request, progress)
+    print(done.to_json() if as_json else done)
+
+
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
     """A bar on a terminal, a line every `QUIET_S` elsewhere; called with the share done and what is being done."""

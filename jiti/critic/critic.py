@@ -62,8 +62,8 @@ class Critic:
         if chunks.shape[2:] != wanted[0] or tuple(features.shape[1:]) != wanted[1]:
             raise SourceError(
                 f"this critic values chunks of {wanted[0]} actions x numbers with features of {wanted[1]} tokens x "
-                f"numbers; it was given {tuple(chunks.shape[2:])} and {tuple(features.shape[1:])}. Use the extractor and the "
-                f"robot that it was trained with: {self.config.get('extractor', {}).get('name')}."
+                f"numbers; it was given {tuple(chunks.shape[2:])} and {tuple(features.shape[1:])}. Use the features "
+                f"and robot that it was trained with: {self.config.get('extractor', {}).get('name')}."
             )
         device = self.q.scale.device
         there = np.ones((len(chunks), self.chunk), bool) if mask is None else mask
@@ -144,7 +144,7 @@ def fill(module: nn.Module, weights: dict[str, Tensor], where: Path) -> None:
         if have is None or want is None or have.shape != want.shape:
             said = [("nothing" if x is None else f"size {tuple(x.shape)}") for x in (have, want)]
             raise SourceError(
-                f"{where} does not fit: {name} has {said[0]} there, and {said[1]} with these settings and this dataset. "
+                f"{where} does not fit: {name} has {said[0]} there, and {said[1]} with these settings and this data. "
                 "Train into another --out, or with the network, features and dataset that it was made with."
             )
     module.load_state_dict(weights)

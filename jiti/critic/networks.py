@@ -104,7 +104,7 @@ class Block(nn.Module):
 
 
 class Transformer(nn.Module):
-    """The built-in trunk: members share nothing. The last token starts as the mean feature token and sees all others."""
+    """The built-in trunk: members share nothing. The last token starts as the mean feature and sees all others."""
 
     def __init__(
         self, features: int, tokens: int, action: int, chunk: int, members: int, width: int, depth: int, heads: int

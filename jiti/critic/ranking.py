@@ -1,8 +1,8 @@
 """How well Q ranks: satisfied segments over violated ones, by the value of what was done there.
 
-A decided segment is a run of annotated frames with one reward. Its score is the mean, over those of its frames t from which
-a whole chunk fits into the episode, of min_E Q(s_t, A_t), A_t the recorded actions t to t + K - 1; where no whole chunk
-fits, of all its frames, with what is behind the end masked.
+A decided segment is a run of annotated frames with one reward. Its score is the mean, over those of its frames t from
+which a whole chunk fits into the episode, of min_E Q(s_t, A_t), A_t the recorded actions t to t + K - 1; where no whole
+chunk fits, of all its frames, with what is behind the end masked.
 """
 
 from collections.abc import Sequence

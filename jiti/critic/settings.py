@@ -79,7 +79,7 @@ class LossSettings:
     random_chunks: int = 10
     """M, uniformly random chunks of `public`. As in the code published with Cal-QL."""
     backup: Literal["mean", "max"] = "mean"
-    """Value of the next state: mean or best of the chunks drawn there. Our choice: the published code takes the best."""
+    """Value of the next state: mean or best of chunks drawn there. Our choice: the published code takes the best."""
     backup_chunks: int = 1
     """Chunks that are drawn there. Our choice: as in soft actor-critic."""
     soft_update: float = 5e-3

@@ -46,7 +46,7 @@ class Trained:
     run: Path
     step: int
     best: dict[str, float]
-    """Of the step that is kept as `RUN/model.safetensors`: `auc`, `bellman`, `step`; empty without a validation split."""
+    """Of the step that is kept as `RUN/model.safetensors`: `auc`, `bellman`, `step`; empty without validation."""
     stopped_early: bool
 
     def __str__(self) -> str:
@@ -127,7 +127,7 @@ def open_data(data: ElegantData, settings: Settings) -> ElegantData:
 
 
 class _Looking:
-    """Looks at the validation split: ranking of decided segments first, temporal-difference error where that is equal."""
+    """Looks at the validation split: ranking of decided segments first, L_Bellman where that is equal."""
 
     def __init__(
         self, data: ElegantData, cache: FeatureCache, episodes: np.ndarray, settings: Settings, team: Team
@@ -222,8 +222,8 @@ def _known(run: Path, settings: Settings) -> Path | None:
         ) from error
     if changed := [name for name in differences(old, settings) if name not in MAY_CHANGE]:
         raise UsageError(
-            f"--out {run} holds a run with another {', '.join(changed)}. Name another folder, or pass the same settings to "
-            "go on with it."
+            f"--out {run} holds a run with another {', '.join(changed)}. Name another folder, or pass the same "
+            "settings to go on with it."
         )
     return found[0]
 
