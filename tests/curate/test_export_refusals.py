@@ -1,0 +1,230 @@
+"""What cannot be curated is refused in one message, and nothing is left at the place of the dataset."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jiti.curate.export import build as build_module
+from jiti.curate.export.command import Request, print_features
+from jiti.episodes.mcap_writer import McapWriter
+from jiti.episodes.reader import open_reader
+from jiti.errors import JitiError, LabelError, SaveFailed, SourceError, UsageError
+from tests.builders.curate import curated, mark, propose, write_picks
+from tests.builders.labels import full_disk, names_in
+from tests.builders.mcap import Camera
+
+GOOD = [(5, 14, 1)]
+
+
+@pytest.fixture
+def picks(tmp_path: Path) -> Path:
+    return write_picks(tmp_path / "demos", [GOOD, GOOD])
+
+
+def refused(kind: type[JitiError], *sources: Path, out: Path, **options) -> str:
+    """The message; nothing may be left behind."""
+    with pytest.raises(kind) as error:
+        curated(*sources, out=out, **options)
+    assert not out.exists()
+    assert not any(name.startswith(f".{out.name}") for name in names_in(out.parent))
+    return str(error.value)
+
+
+def own_recording(folder: Path, values: np.ndarray, names: tuple[str, ...] = ("a", "b"), *, hz: float = 20) -> Path:
+    """A recording with `/proprio` and `/action` of these values (frames, size), labelled."""
+    folder.mkdir(parents=True)
+    about = {"rate_hz": str(hz)}
+    with McapWriter(folder / "own.mcap", instruction="pick", metadata=about) as writer:
+        for k, row in enumerate(values):
+            for topic in ("/proprio", "/action"):
+                writer.write_vector(topic, 10**9 + round(k * 1e9 / hz), names, row)
+    mark(folder, "own", GOOD)
+    return folder
+
+
+def test_a_source_without_labels_names_the_command_that_makes_them(tmp_path):
+    demos = write_picks(tmp_path / "demos", [None])
+    said = refused(LabelError, demos, out=tmp_path / "d")
+    assert "jiti annotate" in said
+    assert "jiti autolabel" in said
+    propose(demos, "pick_0", GOOD)
+    assert "--accept sim" in refused(LabelError, demos, out=tmp_path / "d")
+
+
+def test_labels_of_an_episode_that_does_not_exist(picks, tmp_path):
+    (picks / "pick_1.mcap").unlink()
+    said = refused(LabelError, picks, out=tmp_path / "d")
+    assert "labels of 'pick_1'" in said
+    assert "demos has no such episode" in said
+
+
+def test_labels_of_another_recording(picks, tmp_path):
+    (picks / "pick_1.mcap").write_bytes((picks / "pick_0.mcap").read_bytes())
+    said = refused(LabelError, picks, out=tmp_path / "d")
+    assert "pick_1.mcap: the labels were made on a recording of 36 frames" in said
+
+
+def test_mixed_rates(picks, tmp_path):
+    slow = own_recording(tmp_path / "slow", np.zeros((30, 2)))
+    said = refused(UsageError, picks, slow, out=tmp_path / "d")
+    assert "demos, pick_0.mcap runs at 30 Hz, slow, own.mcap at 20 Hz. Pass --fps 20" in said
+
+
+def test_a_rate_that_is_no_whole_number(tmp_path):
+    odd = own_recording(tmp_path / "odd", np.zeros((30, 2)), hz=12.5)
+    assert "12.5 Hz" in refused(UsageError, odd, out=tmp_path / "d")
+    assert curated(odd, out=tmp_path / "d", fps=12).fps == 12
+
+
+def test_features_that_disagree(picks, tmp_path):
+    other = own_recording(tmp_path / "other", np.zeros((30, 2)), hz=30)
+    said = refused(SourceError, picks, other, out=tmp_path / "d")
+    assert "'observation.state' is 7 numbers in demos, pick_0.mcap, and 2 numbers in other, own.mcap" in said
+    renamed = own_recording(tmp_path / "renamed", np.zeros((30, 2)), ("b", "a"), hz=30)
+    said = refused(SourceError, other, renamed, out=tmp_path / "d")
+    assert "number 0 of 'observation.state' is 'a' in other, own.mcap, and 'b' in renamed, own.mcap" in said
+
+
+def test_a_camera_that_only_some_have(tmp_path):
+    small = {"/camera/front": Camera(width=64, height=48)}
+    one = write_picks(tmp_path / "one", [GOOD], cameras=small)
+    two = write_picks(tmp_path / "two", [GOOD], cameras={**small, "/camera/wrist": Camera(width=64, height=48)})
+    said = refused(SourceError, one, two, out=tmp_path / "d")
+    assert "two, pick_0.mcap has 'observation.images.wrist', and one, pick_0.mcap has not" in said
+    large = write_picks(tmp_path / "large", [GOOD], cameras={"/camera/front": Camera(width=96, height=48)})
+    assert "64x48 pixels in one" in refused(SourceError, one, large, out=tmp_path / "d")
+
+
+def test_missing_streams(tmp_path):
+    demos = write_picks(tmp_path / "demos", [GOOD], action_topic=None)
+    said = refused(SourceError, demos, out=tmp_path / "d")
+    assert "demos, pick_0.mcap: no stream is called what 'action' is usually called" in said
+    assert "/joint_states" in said
+    mapping = tmp_path / "features.toml"
+    mapping.write_text('[features."action"]\nstreams = ["/commands"]\n')
+    said = refused(SourceError, demos, out=tmp_path / "d", features=mapping)
+    assert "'/commands' is not there" in said
+    assert "it has: /joint_states" in said
+    mapping.write_text('[features."action"]\nstreams = ["/joint_states"]\ncomponents = ["elbow"]\n')
+    assert "has no component 'elbow'" in refused(SourceError, demos, out=tmp_path / "d", features=mapping)
+
+
+def test_nan_in_state_names_recording_stream_frame_and_component(tmp_path):
+    values = np.zeros((30, 2))
+    values[17, 1] = np.nan
+    demos = own_recording(tmp_path / "demos", values)
+    said = refused(SourceError, demos, out=tmp_path / "d")
+    assert "demos, own.mcap, /proprio, frame 17: b is nan" in said
+    assert "--filter \"episode != 'own'\"" in said
+
+
+def test_a_stream_that_starts_late(tmp_path):
+    folder = tmp_path / "demos"
+    folder.mkdir()
+    with McapWriter(folder / "own.mcap", instruction="pick", metadata={"rate_hz": "20"}) as writer:
+        for k in range(40):
+            writer.write_vector("/proprio", 10**9 + k * 50_000_000, ["a"], [0.0])
+            if k >= 25:
+                writer.write_vector("/action", 10**9 + k * 50_000_000, ["a"], [0.0])
+    mark(folder, "own", GOOD)
+    assert "/action: has nothing before frame 25" in refused(SourceError, folder, out=tmp_path / "d")
+
+
+def test_a_camera_without_pictures_at_the_start(tmp_path):
+    cameras = {"/camera/front": Camera(width=64, height=48), "/camera/wrist": Camera(width=64, height=48, start_s=0.7)}
+    demos = write_picks(tmp_path / "demos", [GOOD], cameras=cameras)
+    said = refused(SourceError, demos, out=tmp_path / "d")
+    assert "pick_0.mcap, /camera/wrist: frames 0 to 20 have no picture" in said
+
+
+def test_a_full_disk_leaves_nothing_and_the_next_run_goes_on(picks, tmp_path, monkeypatch):
+    with full_disk(20_000), pytest.raises(SaveFailed) as error:
+        curated(picks, out=tmp_path / "d")
+    assert "file too large" in str(error.value)
+    assert not (tmp_path / "d").exists()
+    assert str(tmp_path / ".d.partial") in str(error.value)
+    made = []
+    monkeypatch.setattr(
+        build_module, "read_numbers", lambda *given, real=build_module.read_numbers: made.append(1) or real(*given)
+    )
+    assert curated(picks, out=tmp_path / "d").episodes == 2
+    assert len(made) <= 2
+    assert names_in(tmp_path) == ["d", "demos"]
+
+
+def test_an_existing_dataset_is_replaced_only_when_asked(picks, tmp_path):
+    curated(picks, out=tmp_path / "d")
+    before = (tmp_path / "d" / "README.md").stat().st_mtime_ns
+    with pytest.raises(UsageError, match="--overwrite"):
+        curated(picks, out=tmp_path / "d")
+    assert (tmp_path / "d" / "README.md").stat().st_mtime_ns == before
+    assert curated(picks, out=tmp_path / "d", overwrite=True, condition="episode == 'pick_1'").episodes == 1
+    assert names_in(tmp_path) == ["d", "demos"]
+
+
+def test_what_is_no_dataset_is_never_replaced(picks, tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "letter.txt").write_text("dear")
+    for out in (tmp_path / "home", picks, picks.parent, tmp_path / "home" / "letter.txt"):
+        with pytest.raises(UsageError, match="name another folder"):
+            curated(picks, out=out, overwrite=True)
+    assert (tmp_path / "home" / "letter.txt").read_text() == "dear"
+    with pytest.raises(UsageError, match="--out DATASET"):
+        Request(sources=(str(picks),)).check_out()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"rule": "dora"}, "has no labels of 'dora', whom --rule names; there are labels of: ann"),
+        ({"accept": ("vlm",)}, "has no labels of 'vlm', whom --accept names"),
+        ({"accept": ("ann",)}, "--accept ann is no machine"),
+        ({"condition": "reward == 0"}, "leaves none of 2 episodes; rewards are: 1 (2)"),
+        ({"condition": "rewards == 0"}, "did you mean 'reward'"),
+        ({"split": "1,1,1"}, "--split"),
+        ({"unseen": ("elegant/T2",)}, "--unseen elegant/T2: no episode has that task; there are: pick the cube"),
+        ({"gamma": 1.5}, "--gamma 0.98"),
+        ({"codec": "theora"}, "--codec theora is not one of h264, hevc, av1"),
+        ({"labels": (Path("nowhere"),)}, "--labels nowhere is not a folder"),
+        ({"features": Path("nowhere.toml")}, "cannot be read: no such file"),
+    ],
+)
+def test_flags_that_do_not_fit(picks, tmp_path, options, said):
+    assert said in refused(JitiError, picks, out=tmp_path / "d", **options)
+
+
+def test_a_source_is_given_once(picks, tmp_path):
+    assert "given twice" in refused(UsageError, picks, picks / ".", out=tmp_path / "d")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "there is no [features.NAME] in it"),
+        ("x = 1", "line 1: there is no key 'x'"),
+        ("features = 3", "there is no [features.NAME] in it"),
+        ("[features", "is not valid TOML"),
+        ('[features.a]\nstream = ["/a"]', "line 2: a feature has no key 'stream'; did you mean 'streams'?"),
+        ("[features.a]\nstreams = []", "line 2: streams is []; it must be a list of texts"),
+        ("[features.a]\n\n", "line 1: the feature 'a' needs one of"),
+        ('[features."next.reward"]\nstreams = ["/a"]', "worked out from the labels"),
+        ('[features.front]\ncamera = "/camera/front"', "observation.images.NAME"),
+    ],
+)
+def test_a_mapping_that_is_wrong_names_its_line(picks, tmp_path, text, said):
+    mapping = tmp_path / "features.toml"
+    mapping.write_text(text)
+    assert said in refused(UsageError, picks, out=tmp_path / "d", features=mapping)
+
+
+def test_the_printed_mapping_is_the_automatic_one(tmp_path):
+    demos = write_picks(tmp_path / "demos", [GOOD], cameras={"/camera/front/image_raw": Camera(width=64, height=48)})
+    mapping = tmp_path / "features.toml"
+    mapping.write_text(print_features(Request(sources=(str(demos),))))
+    curated(demos, out=tmp_path / "d")
+    curated(demos, out=tmp_path / "e", features=mapping)
+    for name in ("data/chunk-000/file-000.parquet", "meta/info.json"):
+        assert (tmp_path / "d" / name).read_bytes() == (tmp_path / "e" / name).read_bytes()
+    assert "observation.images.front" in (tmp_path / "d" / "meta" / "info.json").read_text()
+    assert open_reader(tmp_path / "d").open("episode_000000").streams["observation.images.front"].count == 30
