@@ -1,6 +1,7 @@
 """A camera of one episode as a video file: every picture decoded once and encoded at once."""
 
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -78,6 +79,7 @@ def pictures_of(
 @contextmanager
 def _writing(path: Path, fps: int, codec: Codec, width: int, height: int) -> Iterator[tuple[Any, Any]]:
     logging.getLogger("libav").setLevel(logging.ERROR)
+    os.environ.setdefault("SVT_LOG", "1")  # SVT-AV1's own: errors alone, on a terminal that shows a bar
     with av.open(str(path), "w", format="mp4") as container:
         stream: Any = container.add_stream(codec.encoder, fps, options=codec.options)
         stream.width, stream.height, stream.pix_fmt = width, height, PIXELS

@@ -62,7 +62,7 @@ def _copy(clip: Clip, path: Path) -> str | None:
         stream: Any = source.streams.video[0]
         tick = float(stream.time_base)
         period = 1 / clip.rate_hz
-        copy: Any = target.add_stream_from_template(stream)
+        copy: Any = target.add_stream_from_template(stream, opaque=True)
         source.seek(round(clip.start_s / tick), stream=stream, backward=True, any_frame=False)
         first: int | None = None
         for packet in source.demux(stream):
@@ -98,7 +98,7 @@ def join_videos(pieces: Sequence[Path], path: Path, fps: int) -> None:
             with av.open(str(piece)) as source:
                 stream: Any = source.streams.video[0]
                 if copy is None:
-                    copy = target.add_stream_from_template(stream)
+                    copy = target.add_stream_from_template(stream, opaque=True)
                 begin = round(frames / fps / float(stream.time_base))
                 for packet in source.demux(stream):
                     if packet.pts is None:
