@@ -1,8 +1,16 @@
-"""`jiti curate --report`: one page about a curated dataset."""
+"""`jiti curate --report`: one page about a curated dataset. `facts` reads it, `page` tells it, `svg` draws."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
+
+from jiti.curate.report.facts import gather
+from jiti.curate.report.page import page
+from jiti.durable import write_atomic
+from jiti.errors import UsageError
+
+REPORT_FILE = Path("meta") / "jiti" / "report.html"
+"""In the dataset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,5 +28,9 @@ class Reported:
 
 
 def report_on(dataset: Path) -> Reported:
-    """Write the page of a dataset."""
-    raise NotImplementedError
+    """Write the page of a dataset into it. Raises UsageError for a folder that is none, SaveFailed."""
+    if not dataset.is_dir():
+        raise UsageError(f"--report {dataset}: there is no such folder. Pass a dataset of jiti curate.")
+    html = page(gather(dataset))
+    write_atomic(dataset / REPORT_FILE, html.encode())
+    return Reported(dataset / REPORT_FILE)
