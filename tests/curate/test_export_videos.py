@@ -1,7 +1,6 @@
 """Videos of curated datasets: every picture carries its own frame number, so that a test can tell which is shown."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -99,10 +98,8 @@ def test_files_are_begun_anew_when_they_are_full(demos, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module", params=["h264", "h264_b_frames", "av1"])
 def lerobot_source(request, tmp_path_factory) -> Path:
-    root = write_v3(
-        tmp_path_factory.mktemp("source") / "source", (12, 9, 15), encoder=ENCODERS[request.param], cameras=(FRONT, WRIST),
-        number_step=20,
-    )  # fmt: skip
+    root = tmp_path_factory.mktemp("source") / "source"
+    write_v3(root, (12, 9, 15), encoder=ENCODERS[request.param], cameras=(FRONT, WRIST), number_step=20)
     for number in range(3):
         mark(root, f"episode_{number:06d}", GOOD)
     return root
@@ -172,9 +169,7 @@ def test_a_killed_run_goes_on_and_gives_the_same(demos, tmp_path):
         "from jiti.curate.export.command import Request, curate\n"
         "curate(Request(sources=(sys.argv[1],), out=Path(sys.argv[2])))\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", killed, str(demos), str(tmp_path / "d")], cwd=os.getcwd(), check=False
-    )
+    ended = subprocess.run([sys.executable, "-c", killed, str(demos), str(tmp_path / "d")], check=False)
     assert ended.returncode == -signal.SIGKILL
     assert not (tmp_path / "d").exists()
     journal = (tmp_path / ".d.partial" / "journal.jsonl").read_text().splitlines()

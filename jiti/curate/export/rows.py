@@ -68,7 +68,7 @@ def episode_columns(
         "next.success": last & (planned.success is True),
         "elegance.annotated": annotated,
         "elegance.mc_return": returns.astype(np.float32),
-        "timestamp": (frame_index / fps).astype(np.float32),
+        "timestamp": frame_index / fps,  # float64 as in lerobot's statistics; stored as float32
         "frame_index": frame_index,
         "episode_index": np.full(count, planned.index),
         "index": planned.first_frame + frame_index,
