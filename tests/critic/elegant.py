@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def write_elegant(
     (root / "data/chunk-000").mkdir(parents=True)
     (root / "meta/jiti").mkdir(parents=True)
     cuts = np.linspace(0, len(table), files + 1).astype(int)
-    for number, (first, stop) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+    for number, (first, stop) in enumerate(pairwise(cuts)):
         pq.write_table(table.slice(first, stop - first), root / f"data/chunk-000/file-{number:03d}.parquet")
     shapes = {
         name: [column.type.list_size] if pa.types.is_fixed_size_list(column.type) else [1]

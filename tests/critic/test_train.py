@@ -1,0 +1,154 @@
+"""Training: learns a toy, goes on exactly as if it had not been stopped, and refuses what does not fit."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch  # noqa: TID253  these tests are about tensors
+from safetensors.torch import load_file
+
+from jiti.critic.checkpoint import checkpoints
+from jiti.critic.critic import load_critic
+from jiti.critic.dataset import read_elegant
+from jiti.critic.metrics import read_metrics
+from jiti.critic.settings import Settings
+from jiti.critic.settings_file import settings_from
+from jiti.critic.train import train
+from jiti.durable import write_atomic
+from jiti.errors import JitiError, SaveFailed, SourceError, UsageError
+
+SMALL = {
+    "network": {"width": 16, "heads": 2, "actor_width": 16, "chunk": 4},
+    "loss": {"td_offset": 4, "alpha": 1.0},
+    "optimizer": {"critic_lr": 3e-3, "actor_lr": 1e-3},
+    "run": {"batch": 16, "check_every": 2, "log_every": 1, "device": "cpu"},
+}
+
+
+def small(steps: int, **sections) -> Settings:
+    merged = {name: {**SMALL.get(name, {}), **sections.get(name, {})} for name in {*SMALL, *sections}}
+    made = settings_from(merged)
+    return replace(made, run=replace(made.run, steps=steps))
+
+
+def run(toy: Path, name: str, settings: Settings, **options):
+    return train(toy, toy.parent / name, settings, features_dir=toy.parent / "features", **options)
+
+
+def files(folder: Path) -> dict[str, dict[str, torch.Tensor]]:
+    return {name: load_file(folder / name) for name in ("model.safetensors", "training.safetensors")}
+
+
+def same(one: dict, other: dict) -> bool:
+    return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {},
+        {"loss": {"lagrange": True, "variant": "public", "backup": "max", "backup_chunks": 2}},
+        {"loss": {"alpha": 0.0}, "data": {"gamma": 0.9}},
+    ],
+)
+def test_two_steps_and_two_more_are_four_steps_bit_for_bit(toy, sections):
+    run(toy, "whole", small(4, **sections))
+    run(toy, "parts", small(2, **sections))
+    run(toy, "parts", small(4, **sections))
+    whole, parts = checkpoints(toy.parent / "whole")[0], checkpoints(toy.parent / "parts")[0]
+    assert whole.name == parts.name == "step-00000004"
+    for name, tensors in files(whole).items():
+        assert same(tensors, files(parts)[name]), name
+    assert (whole / "training.json").read_bytes() == (parts / "training.json").read_bytes()
+    told = [read_metrics(toy.parent / name).to_pylist() for name in ("whole", "parts")]
+    assert told[0] == told[1]
+    assert {row["step"] for row in told[0]} == {1, 2, 3, 4}
+
+
+def test_seeds_differ_and_a_seed_repeats(toy):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        run(toy, name, small(2, run={"seed": seed}))
+    a, b, c = (load_file(toy.parent / name / "model.safetensors") for name in "abc")
+    assert same(a, b)
+    assert not same(a, c)
+
+
+def test_a_toy_is_learned_and_training_ends_when_it_does_not_become_better(toy):
+    done = run(toy, "run", small(400, run={"check_every": 20, "patience": 3, "log_every": 10}))
+    assert done.best["auc"] == 1.0
+    assert done.stopped_early
+    assert done.step < 400
+    again = run(toy, "run", small(400, run={"check_every": 20, "patience": 3, "log_every": 10}))
+    assert again.step == done.step
+
+
+def test_what_is_kept_values_chunks_in_the_recordings_units(toy):
+    run(toy, "run", small(2))
+    critic, data = load_critic(toy.parent / "run"), read_elegant(toy)
+    chunks = data.action[:4][None, None].repeat(2, 1)
+    values = critic.values(torch.zeros(1, 1, 3), chunks)
+    assert values.shape == (2, 1, 2)
+    torch.testing.assert_close(values[:, :, 0], values[:, :, 1])
+    assert critic.config["dataset"]["fingerprint"] == data.fingerprint
+    assert critic.config["extractor"]["name"] == "state"
+    assert not list((toy.parent / "run").rglob("*.pt")) + list((toy.parent / "run").rglob("*.pkl"))
+    with pytest.raises(SourceError, match=r"values chunks of \(4, 3\).*it was given \(5, 3\)"):
+        critic.values(torch.zeros(1, 1, 3), np.zeros((1, 1, 5, 3), np.float32))
+
+
+def test_a_run_goes_on_only_with_its_own_settings(toy):
+    run(toy, "run", small(2))
+    with pytest.raises(UsageError, match=r"another loss\.alpha\. Name another folder"):
+        run(toy, "run", small(4, loss={"alpha": 2.0}))
+    (toy.parent / "mine").mkdir()
+    (toy.parent / "mine/notes.txt").write_text("keep")
+    with pytest.raises(UsageError, match="is not empty"):
+        run(toy, "mine", small(2))
+
+
+def test_a_checkpoint_of_other_sizes_is_refused(toy):
+    run(toy, "run", small(2))
+    folder = checkpoints(toy.parent / "run")[0]
+    config = json.loads((folder / "config.json").read_text())
+    config["network"]["width"] = 32
+    (folder / "config.json").write_text(json.dumps(config))
+    with pytest.raises(SourceError, match=r"does not fit: .* has size .* and size "):
+        load_critic(folder)
+
+
+def test_nothing_to_tell_apart_is_refused(toy):
+    data = read_elegant(toy)
+    only = data.with_rewards(np.where(data.annotated, 1.0, 0.0), data.gamma)
+    with pytest.raises(SourceError, match="every decided segment of split train is satisfied"):
+        run(toy, "run", small(2), data=only)
+    with pytest.raises(SourceError, match="no labelled episode is in split train"):
+        run(toy, "run", small(2), data=data.with_splits(np.full(data.episodes, "test")))
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_whole(toy, monkeypatch):
+    run(toy, "run", small(2))
+    before = files(checkpoints(toy.parent / "run")[0])
+
+    def full(path, data):
+        if path.name == "training.json":
+            raise SaveFailed(f"{path} could not be saved")
+        write_atomic(path, data)
+
+    monkeypatch.setattr("jiti.critic.checkpoint.write_atomic", full)
+    with pytest.raises(JitiError, match="could not be saved"):
+        run(toy, "run", small(4))
+    (left,) = (toy.parent / "run/checkpoints").iterdir()
+    assert left.name == "step-00000002"
+    for name, tensors in files(left).items():
+        assert same(tensors, before[name])
+
+
+def test_a_batch_that_processes_cannot_share_is_refused():
+    from jiti.critic.team import Team
+
+    team = Team("cpu")
+    team.size = 3
+    with pytest.raises(UsageError, match="3 processes cannot share"):
+        team.check_batch(32)
