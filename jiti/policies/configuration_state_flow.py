@@ -36,8 +36,6 @@ class StateFlowConfig(PreTrainedConfig):
     draws: int = 4
     """Noise draws for each frame of a batch. Our choice: reading a frame through LeRobotDataset takes longer than
     learning from it, so each is used this often with other noise and another time."""
-    dead_band: float = 0.0
-    """Actions of smaller size are emitted as exactly 0, in the action's own unit, where the data has exact zeros."""
     ema_decay: float = 0.999
     """Of the average of weights that acts. Our choice, usual for diffusion policies."""
 

@@ -1,7 +1,7 @@
 """Numbers of an action that take certain values only: a policy emits these values, and nothing near them.
 
-A gripper is commanded by -1 or 1. Robosuite's OSC_POSE holds its goal orientation only while all rotation deltas are
-exactly zero, so a small one that was meant as zero lets the hand drift. Both follow from a dataset's statistics.
+A gripper is commanded by -1 or 1, and a rotation that demonstrations leave alone by exactly 0: robosuite's OSC_POSE
+holds its goal orientation only while all rotation deltas are 0. Both show in a dataset's statistics.
 """
 
 from collections.abc import Mapping
@@ -19,24 +19,19 @@ class Levels(nn.Module):
     """Which components of a normalized action (…, A) are put to a level, learned from the statistics of `action`.
 
     A component with two values only has the largest variance that its bounds allow: var = (max - mean)(mean - min)
-    (Bhatia and Davis, 2000); it is emitted as the nearer of the two. One that never varies is emitted as it was. What
-    is smaller than the dead band is emitted as zero.
+    (Bhatia and Davis, 2000); it is emitted as the nearer of the two. One that never varies is emitted as it was.
     """
 
     low: Tensor
     high: Tensor
-    zero: Tensor
-    band: Tensor
 
     def __init__(self, actions: int) -> None:
         super().__init__()
         missing = torch.full((actions,), torch.nan)
         self.register_buffer("low", missing.clone())
         self.register_buffer("high", missing.clone())
-        self.register_buffer("zero", missing.clone())
-        self.register_buffer("band", torch.zeros(actions))
 
-    def learn(self, stats: Mapping[str, Any], dead_band: float) -> None:
+    def learn(self, stats: Mapping[str, Any]) -> None:
         """From min, max, mean and std (A,) of the data, in the action's unit; normalization by mean and std."""
         least, most, mean, std = (torch.as_tensor(stats[k]).double().flatten() for k in ("min", "max", "mean", "std"))
         largest = (most - mean) * (mean - least)
@@ -45,11 +40,8 @@ class Levels(nn.Module):
         scale = std.clamp_min(1e-8)
         self.low.copy_(torch.where(two, (least - mean) / scale, torch.where(still, 0.0, torch.nan)))
         self.high.copy_(torch.where(two, (most - mean) / scale, torch.where(still, 0.0, torch.nan)))
-        self.zero.copy_(-mean / scale)
-        self.band.copy_(torch.where(two | still, 0.0, dead_band / scale))
 
     def forward(self, chunk: Tensor) -> Tensor:
         """Normalized actions (…, A) with levels in their place."""
         nearer = torch.where((chunk - self.low).abs() <= (chunk - self.high).abs(), self.low, self.high)
-        chunk = torch.where(self.low.isnan(), chunk, nearer)
-        return torch.where((chunk - self.zero).abs() < self.band, self.zero.expand_as(chunk), chunk)
+        return torch.where(self.low.isnan(), chunk, nearer)

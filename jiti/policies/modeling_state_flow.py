@@ -58,7 +58,7 @@ class StateFlowPolicy(PreTrainedPolicy):
         self.average = deepcopy(self.network).requires_grad_(False)
         self.levels = Levels(actions)
         if dataset_stats is not None and ACTION in dataset_stats:
-            self.levels.learn(dataset_stats[ACTION], config.dead_band)
+            self.levels.learn(dataset_stats[ACTION])
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         self.reset()
 

@@ -10,7 +10,8 @@ RECIPES = {
     "state_flow": "our flow-matching policy from state, all tasks in one, minutes on two cores",
     "smolvla": "SmolVLA-500M, supplement C.3",
     "pi05": "pi0.5, supplement C.1",
-    "groot": "GR00T, supplement C.2",
+    "groot": "GR00T-N1.7, which lerobot 0.6 trains, with the numbers of supplement C.2",
+    "groot_n15": "GR00T-N1.5, supplement C.2, for lerobot 0.5.1",
 }
 """What each recipe trains."""
 
