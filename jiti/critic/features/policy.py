@@ -33,7 +33,7 @@ class PolicyFeatures:
         about = f"policy {VERSION} {module} {opened.fingerprint} {sorted(opened.renamed.items())}"
         self.fingerprint = hashlib.sha256(about.encode()).hexdigest()
         # Where the frames of a batch are in the output shows when their number changes.
-        two, three = (self._output(_blank(self.needs, shapes, frames)).shape for frames in (2, 3))
+        two, three = (self._output(_blank(opened, shapes, frames)).shape for frames in (2, 3))
         axes = [axis for axis, (a, b) in enumerate(zip(two, three, strict=False)) if (a, b) == (2, 3)]
         if len(two) != len(three) or len(axes) != 1:
             raise UsageError(
@@ -41,7 +41,7 @@ class PolicyFeatures:
                 "need one axis for frames. Name another module."
             )
         self._frames = axes[0]
-        self.tokens, self.size = self._as_tokens(self._output(_blank(self.needs, shapes, 2))).shape[1:]
+        self.tokens, self.size = self._as_tokens(self._output(_blank(opened, shapes, 2))).shape[1:]
 
     def features(self, batch: Batch) -> "torch.Tensor":
         """(B, tokens, size) float32."""
@@ -109,9 +109,11 @@ def open_extractor(argument: str, shapes: Shapes, device: str) -> PolicyFeatures
     return PolicyFeatures(f"policy:{argument}", opened, module, shapes)
 
 
-def _blank(needs: tuple[str, ...], shapes: Shapes, frames: int) -> Mapping[str, Any]:
-    """Observations of zeros, to see what comes out."""
+def _blank(opened: OpenedPolicy, shapes: Shapes, frames: int) -> Mapping[str, Any]:
+    """Observations of zeros, to see what comes out; pictures of the policy's own size."""
     import torch
 
-    blank: dict[str, Any] = {key: torch.zeros(frames, *shapes[key]) for key in needs if key in shapes}
-    return blank | {"task": [""] * frames}
+    seen: Any = opened.policy.config
+    sizes = {key: tuple(seen.image_features[name].shape) for key, name in opened.renamed.items()}
+    sizes |= {key: tuple(shapes[key]) for key in opened.needs if key in shapes and key not in sizes}
+    return {key: torch.zeros(frames, *size) for key, size in sizes.items()} | {"task": [""] * frames}
