@@ -356,7 +356,7 @@ def curate(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SOURCE]...",
+            metavar="SOURCE",
             help="MCAP files, folders of them, LeRobot folders or Hub ids, merged. Default: the current folder.",
         ),
     ] = None,
@@ -414,7 +414,7 @@ def curate(
 ) -> None:
     """Merge recordings and the labels that count into D_elegant, a LeRobot v3 dataset; a stopped run goes on.
 
-    Examples: jiti curate demos --accept sim --out d-elegant; jiti curate a b --out d --filter 'reward == 1' --weights
+    Example: jiti curate demos --accept sim --out d-elegant --filter 'reward == 1' --report
     """
     from jiti.curate.export import command
 

@@ -17,6 +17,7 @@ from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import Segment, new_segment_id
 from jiti.annotate.store import LabelStore
 from jiti.cli import app
+from tests.builders.curate import write_picks
 from tests.builders.demonstration import write_demonstration
 from tests.builders.lerobot import H264, write_v3
 from tests.builders.mcap import Camera, write_mcap
@@ -310,3 +311,35 @@ def test_a_model_is_asked_through_a_server(run: Run, tmp_path: Path) -> None:
 def test_flags_of_autolabel_that_do_not_fit_name_themselves(run: Run, tmp_path: Path, flags, said) -> None:
     write_mcap(tmp_path / "a.mcap", cameras={"front": Camera()})
     refused(run("autolabel", *flags), said)
+
+
+def test_a_dataset_is_curated_in_one_command(run: Run, tmp_path: Path) -> None:
+    write_picks(tmp_path / "demos", [[(5, 14, 1)], [(5, 14, 0)], None])
+    done = run("curate", "demos", "--out", "d", "--weights", "--report", "--filter", "frames > 1")
+    assert done.returncode == 0, done
+    assert "2 episodes, 66 frames at 30 Hz in d." in done.stdout
+    assert "1 of 2 judged episodes are elegant" in done.stdout
+    assert "Left out: 1 episodes without labels" in done.stdout
+    for name in ("sarm_progress.parquet", "meta/jiti/report.html", "meta/info.json", "README.md"):
+        assert (tmp_path / "d" / name).is_file(), name
+    told = json.loads(run("curate", "demos", "--out", "e", "--json").stdout)
+    assert (told["episodes"], told["frames"], told["unlabelled"], told["weights"]) == (2, 66, 1, None)
+    assert json.loads(run("inspect", "e", "--json").stdout)["episodes"][1]["frame_count"] == 36
+
+
+def test_the_current_folder_is_curated_and_the_mapping_printed(run: Run, tmp_path: Path) -> None:
+    write_picks(tmp_path, [[(5, 14, 1)]])
+    done = run("curate", "--print-features")
+    assert done.stdout.endswith('[features."action"]\nstreams = ["/action"]\n')
+    done = run("curate", "--out", "d")
+    assert done.returncode == 0, done
+    assert (tmp_path / "d" / "meta" / "info.json").is_file()
+
+
+def test_what_cannot_be_curated_is_refused(run: Run, tmp_path: Path) -> None:
+    write_picks(tmp_path / "demos", [None])
+    refused(run("curate", "demos", "--out", "d"), "jiti annotate demos", "--unlabelled keep")
+    refused(run("curate", "demos"), "--out DATASET")
+    refused(run("curate", "--report", "demos"), "is no dataset of jiti curate")
+    refused(run("curate", "--report"), "jiti curate --report DATASET")
+    assert not (tmp_path / "d").exists()
