@@ -49,6 +49,7 @@ def load_backbone(
     import transformers
 
     transformers.utils.logging.disable_progress_bar()
+    transformers.utils.logging.set_verbosity_error()
     try:
         whole: Any = transformers.AutoModel.from_pretrained(
             name, dtype=torch.float32, use_safetensors=True, trust_remote_code=trust_remote_code
@@ -87,5 +88,7 @@ def _around(whole: Any, name: str, features: int, action: int, gradient_checkpoi
     decoder.config.vocab_size, decoder.config.pad_token_id = 1, None
     decoder.get_input_embeddings().requires_grad_(False)
     if gradient_checkpointing and decoder.supports_gradient_checkpointing:
-        decoder.gradient_checkpointing_enable({"use_reentrant": False})
+        # transformers 5.24 has a new name for it, and 5.5 does not know that.
+        enable = getattr(decoder, "activation_checkpointing_enable", decoder.gradient_checkpointing_enable)
+        enable({"use_reentrant": False})
     return Backbone(decoder, width, features, action)
