@@ -443,7 +443,11 @@ def curate(
         print(command.print_features(request), end="")
         return
     with _progress("Curating") as progress:
-        done = command.run(request, progress)
+        try:
+            done = command.run(request, progress)
+        except KeyboardInterrupt:
+            print("Stopped. Finished episodes are kept; the same command goes on there.", file=sys.stderr)
+            raise
     print(done.to_json() if as_json else done)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from jiti.curate.export import build as build_module
 from jiti.curate.export.command import Request, print_features
+from jiti.curate.export.journal import Journal
 from jiti.episodes.mcap_writer import McapWriter
 from jiti.episodes.reader import open_reader
 from jiti.errors import JitiError, LabelError, SaveFailed, SourceError, UsageError
@@ -228,3 +229,23 @@ def test_the_printed_mapping_is_the_automatic_one(tmp_path):
         assert (tmp_path / "d" / name).read_bytes() == (tmp_path / "e" / name).read_bytes()
     assert "observation.images.front" in (tmp_path / "d" / "meta" / "info.json").read_text()
     assert open_reader(tmp_path / "d").open("episode_000000").streams["observation.images.front"].count == 30
+
+
+def test_two_runs_do_not_write_into_one_folder(picks, tmp_path):
+    folder = tmp_path / ".d.partial"
+    held = Journal.open(folder, "other")
+    try:
+        with pytest.raises(UsageError, match="another jiti curate writes"):
+            curated(picks, out=tmp_path / "d")
+    finally:
+        held.close()
+    assert curated(picks, out=tmp_path / "d").episodes == 2
+
+
+def test_lost_frames_are_told(tmp_path):
+    times = [k / 30 for k in range(30) if k not in (11, 12)]
+    camera = Camera(width=64, height=48, times_s=times)
+    demos = write_picks(tmp_path / "demos", [GOOD], cameras={"/camera/front": camera})
+    (note,) = curated(demos, out=tmp_path / "d").notes
+    assert "demos, pick_0.mcap: 1 times the next picture came late" in note
+    assert curated(demos, out=tmp_path / "e", fps=30).notes == ()

@@ -45,7 +45,11 @@ def test_the_page_needs_nothing_else_and_runs_nothing(dataset):
 
 def test_the_page_tells_the_figures(dataset):
     facts = gather(dataset)
-    assert [(e.frames, e.elegant, e.annotated) for e in facts.episodes] == [(30, True, 12), (36, False, 20), (42, True, 10)]
+    assert [(e.frames, e.elegant, e.annotated) for e in facts.episodes] == [
+        (30, True, 12),
+        (36, False, 20),
+        (42, True, 10),
+    ]
     assert facts.episodes[0].peak_return == pytest.approx(2 - 2**-11)
     assert facts.verdicts == {"generic/pose_alignment": {1: 4, 0: 1}}
     assert sorted(facts.lengths[1]) == [10, 10, 10, 10]

@@ -4,7 +4,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from jiti.curate.export.videos import Camera, make_video
 from jiti.curate.export.weights import WEIGHTS_FILE, label_progress, write_weights
 from jiti.durable import sync, sync_folder
 from jiti.episodes.episode import Episode
-from jiti.errors import JitiError, SaveFailed
+from jiti.errors import SaveFailed, SourceError
 from jiti.tasks.task import Task
 
 
@@ -68,8 +68,7 @@ def build(plan: Plan, sources: Sequence[Source], output: Output, progress: Progr
     partial = output.root.with_name(f".{output.root.name}.partial")
     by_name = {source.name: source for source in sources}
     notes: list[str] = []
-    with _explained(partial, output.root):
-        journal = Journal.open(partial, plan.digest)
+    with _explained(partial, output.root), closing(Journal.open(partial, plan.digest)) as journal:
         writer = _Writer(plan, journal, output)
         for number, planned in enumerate(plan.episodes):
             progress(number / len(plan.episodes), f"{planned.source}, {planned.title}")
@@ -199,7 +198,8 @@ def _explained(partial: Path, root: Path) -> Iterator[None]:
         yield
     except SaveFailed as error:
         raise _refused(partial, root, error.__cause__ if isinstance(error.__cause__, OSError) else error) from error
-    except JitiError:
+    except SourceError:
+        # Another input is needed, with which nothing of this could be used.
         shutil.rmtree(partial, ignore_errors=True)
         raise
     except OSError as error:

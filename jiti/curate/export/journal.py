@@ -6,6 +6,7 @@
 <name>.partial/dataset/          what will be there in the end
 """
 
+import fcntl
 import json
 import os
 import shutil
@@ -17,6 +18,7 @@ from typing import Any
 from jiti.curate.export.meta import stats_from_json, stats_to_json
 from jiti.curate.export.stats import Stats
 from jiti.durable import make_folder, sync, write_atomic, write_whole
+from jiti.errors import UsageError
 
 FORMAT = 1
 """Of these files; another one starts anew."""
@@ -56,10 +58,16 @@ class Journal:
         self._offsets: list[int] = []
         """Where each line begins, so that episodes need not stay in memory."""
         self._end = 0
+        self._lock = -1
 
     @classmethod
     def open(cls, folder: Path, digest: str) -> "Journal":
-        """Go on with what a run of the same inputs left, or start anew. Raises SaveFailed."""
+        """Go on with what a run of the same inputs left, or start anew.
+
+        Raises UsageError while another process writes there, SaveFailed.
+        """
+        make_folder(folder)
+        lock = _locked(folder)
         about = {"format": FORMAT, "digest": digest}
         plan = folder / "plan.json"
         try:
@@ -67,14 +75,19 @@ class Journal:
         except (OSError, ValueError):
             same = False
         if not same:
-            shutil.rmtree(folder, ignore_errors=True)
-            make_folder(folder)
+            for path in folder.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
             write_atomic(plan, json.dumps(about).encode())
         journal = cls(folder)
+        journal._lock = lock
         journal.dataset.mkdir(exist_ok=True)
         (folder / "pieces").mkdir(exist_ok=True)
         journal._find_lines()
         return journal
+
+    def close(self) -> None:
+        """Let another process write there."""
+        os.close(self._lock)
 
     @property
     def dataset(self) -> Path:
@@ -133,6 +146,17 @@ class Journal:
             told = json.loads(file.readline())
         videos = {key: DoneVideo(*video) for key, video in told["videos"].items()}
         return Done(told["index"], told["data_bytes"], videos, stats_from_json(told["stats"]), tuple(told["notes"]))
+
+
+def _locked(folder: Path) -> int:
+    """A descriptor that keeps other processes out until it is closed."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise UsageError(f"another jiti curate writes in {folder}. Wait for it, or pass another --out.") from None
+    return descriptor
 
 
 def _sync(path: Path) -> None:

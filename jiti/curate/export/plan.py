@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from jiti.annotate.segments import SCHEMA, Segment
@@ -20,13 +21,15 @@ from jiti.curate.export.split import split_episodes
 from jiti.curate.returns import mc_returns
 from jiti.curate.rewards import rewards_of
 from jiti.curate.verdicts import spans
-from jiti.episodes.episode import Episode, EpisodeRef
+from jiti.episodes.episode import Episode, EpisodeRef, loss
 from jiti.episodes.lerobot_index import episode_id_of
 from jiti.errors import LabelError, SourceError, UsageError
 from jiti.tasks.generic import GENERIC
 from jiti.tasks.task import Task
 
 Progress = Callable[[float, str], None]
+GAP_PERIODS = 1.5
+"""A picture that comes later than this after the one before it is late. Our choice: one frame was lost."""
 NO_INSTRUCTION = "no instruction recorded"
 """LeRobot wants a text for every episode."""
 
@@ -141,6 +144,7 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
             episode = _open(source, ref, labelled=bool(rows), notes=notes)
             if episode is None:
                 continue
+            notes += _doubts(f"{source.name}, {ref.title}", episode, choice)
             task = source.catalogue.for_episode(episode)
             planned, shape = _plan_episode(source, ref, episode, task, rows, choice)
             if planned.task_id:
@@ -191,6 +195,19 @@ def _open(source: Source, ref: EpisodeRef, *, labelled: bool, notes: list[str]) 
     if not episode.clock.frame_count:
         raise SourceError(f"{source.name}, {ref.title}: it has no frames. Leave it out: move it or its labels away.")
     return episode
+
+
+def _doubts(title: str, episode: Episode, choice: Choice) -> Iterator[str]:
+    """What a person should know of a recording that goes in."""
+    if (missing := loss(episode)) is not None:
+        yield f"{title}: a part of it is missing: {missing}"
+    steps = np.diff(episode.clock.frame_ns)
+    gaps = int((steps > GAP_PERIODS * 1e9 / episode.clock.rate_hz).sum())
+    if gaps and choice.fps is None:
+        yield (
+            f"{title}: {gaps} times the next picture came late, and LeRobot's frames are evenly spaced. "
+            f"--fps {round(episode.clock.rate_hz)} puts them on an even clock."
+        )
 
 
 def _plan_episode(

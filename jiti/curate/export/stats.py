@@ -19,7 +19,8 @@ Stats = dict[str, np.ndarray]
 
 def column_stats(values: np.ndarray) -> Stats:
     """Of one episode's rows (N, size), or (N,) for a feature of one number; not of no rows."""
-    batch = values.reshape(len(values), -1)
+    # In one order of memory: NumPy adds up along it, and float32 rounds as it does.
+    batch = np.ascontiguousarray(values.reshape(len(values), -1))
     batch = batch.astype(np.result_type(batch.dtype, np.float32), copy=False)
     lowest, highest = batch.min(axis=0), batch.max(axis=0)
     mean = np.mean(batch, axis=0)
