@@ -4,7 +4,7 @@
 
 Updates are of the default network at the paper's batch of 32 (supplement C.4), on random numbers of the sizes of
 simulated recordings: 102 state numbers, actions of 7. One update is Q, actor, temperature and target network.
-A read of the cache is a batch of 32 random frames; its peer reads the same frames of the same dataset by LeRobotDataset.
+A read of the cache is a batch of 32 random frames; its peer reads the same frames by LeRobotDataset.
 """
 
 import argparse

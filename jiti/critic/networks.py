@@ -157,7 +157,7 @@ class QEnsemble(nn.Module):
         scaled, there = self.normalize(features)
         kept = chunks * mask[:, None, :, None]
         seen = self.trunk(scaled, there, kept, mask)
-        hidden = functional.gelu(self.hidden(seen if seen.dim() == 3 else seen.unsqueeze(0)))
+        hidden = functional.gelu(self.hidden(seen))
         return self.value(hidden).float().view(-1, *chunks.shape[:2]) * self.scale
 
 

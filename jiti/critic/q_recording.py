@@ -1,9 +1,13 @@
 """Q over time as a Rerun recording: values, rewards, returns and segments under the episode's own video and numbers.
 
-The critic's only Rerun calls. The annotator's recording of the episode comes first, byte for byte; what is drawn here
-is of the same recording id, so that a viewer shows both as one.
+The critic's only Rerun calls. The annotator's recording of the episode is taken as it is, and merged with what is drawn
+here, under the same recording id.
 """
 
+import os
+import subprocess
+import sys
+import tempfile
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +17,7 @@ import numpy as np
 from jiti.annotate.web.recording import TIMELINE, entity_path, stream_recording
 from jiti.durable import make_folder, replacing
 from jiti.episodes.episode import Episode
+from jiti.errors import SaveFailed
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -36,10 +41,23 @@ def write_q_recording(
     _lines(drawn, index, "critic/q", np.vstack([q.min(0), q]), ["least", *(f"member {n}" for n in range(len(q)))])
     _lines(drawn, index, "critic/mc_return", mc_return[None], ["Monte-Carlo return"])
     _lines(drawn, index, "label/reward", np.stack([reward, annotated.astype(float)]), ["reward", "decided"])
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        for piece in stream_recording(episode, recording_id):
-            file.write(piece)
-        file.write(pipe.read(flush=True) or b"")
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".tmp-") as folder:
+        parts = Path(folder) / "episode.rrd", Path(folder) / "values.rrd"
+        with parts[0].open("wb") as file:
+            for piece in stream_recording(episode, recording_id):
+                file.write(piece)
+        parts[1].write_bytes(pipe.read(flush=True) or b"")
+        with replacing(path) as temporary:
+            _merge(parts, temporary)
+
+
+def _merge(parts: tuple[Path, Path], out: Path) -> None:
+    """Rerun's own merge: files that are put one behind the other play, but Rerun's readers refuse their checksums."""
+    line = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, parts), "-o", str(out)]
+    quiet = {**os.environ, "RUST_LOG": "error"}
+    done = subprocess.run(line, capture_output=True, text=True, check=False, env=quiet)
+    if done.returncode or not out.exists():
+        raise SaveFailed(f"{parts[0].parent.parent}: Rerun could not merge a recording: {done.stderr[-300:]}")
 
 
 def _lines(recording: "rr.RecordingStream", index: Any, entity: str, rows: np.ndarray, names: list[str]) -> None:

@@ -43,7 +43,7 @@ class NetworkSettings:
     width: int = 64
     """Of the built-in transformer's tokens and of the value heads. Our choice: for two cores."""
     depth: int = 1
-    """Blocks of the built-in transformer. Our choice: for two cores, where a second costs two and a half times as much."""
+    """Blocks of the built-in transformer. Our choice: for two cores, where a second more than doubles the time."""
     heads: int = 4
     """Attention heads of the built-in transformer. Our choice."""
     actor_width: int = 256

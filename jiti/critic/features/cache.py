@@ -167,7 +167,8 @@ def _prepare(at: Path, about: dict[str, Any]) -> None:
     for name, size in (("features.bin", about["frames"] * row_bytes), ("valid.bin", about["frames"])):
         try:
             with (at / name).open("wb") as file:
-                os.posix_fallocate(file.fileno(), 0, max(1, size))
+                if hasattr(os, "posix_fallocate"):  # so that a full disk is told now, and not in the middle
+                    os.posix_fallocate(file.fileno(), 0, max(1, size))
                 file.truncate(size)
                 sync(file.fileno())
         except OSError as error:
