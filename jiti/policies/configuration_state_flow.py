@@ -20,10 +20,10 @@ class StateFlowConfig(PreTrainedConfig):
     n_action_steps: int = 10
     """Actions of a chunk that are executed before the next is drawn. Our choice: all; a critic judges whole chunks."""
     num_steps: int = 8
-    """Euler steps from noise to a chunk. Our choice: more did not change success, and each costs a pass."""
+    """Euler steps from noise to a chunk. Our choice: the prototype had as many, and each costs a pass."""
 
     width: int = 256
-    """Numbers of a layer. Our choice: 512 took four times as long a step on a CPU."""
+    """Numbers of a layer. Our choice: minutes on two cores, where 512 has four times the arithmetic."""
     depth: int = 4
     """Residual blocks of two layers each behind the observation's encoder. Our choice."""
     frequencies: int = 2
