@@ -64,8 +64,8 @@ def _updates(bench: Bench) -> Iterator[Line]:
             torch.rand(BATCH),
         )
         rates = []
-        for run in range(bench.count(6, 2)):
-            steps = bench.count(50, 3)
+        for run in range(bench.count(6, 3)):
+            steps = bench.count(30, 5)
             begin = time.perf_counter()
             for step in range(steps):
                 train_step(state, batch, draw_noise(settings, ACTION, step, team), settings, team)
