@@ -11,6 +11,8 @@ from jiti.tasks.rotation import matrices
 
 GRIPPER = "gripper"
 """The hand, in the names of contacts: `gripper-bowl_1`."""
+FIXTURES = "/fixtures/"
+"""Under which a recording has how far the moving parts of things stand."""
 _POSE = 7
 """Numbers of a pose: x, y, z in m, then a quaternion x, y, z, w."""
 
@@ -105,6 +107,11 @@ class Readings:
         values = self._values(self._poses[name])
         return values if np.isfinite(values).all() else None
 
+    def joints(self, name: str) -> np.ndarray | None:
+        """(frames, n) m or rad: how far the moving parts of a fixture stand; None where it has none."""
+        stream = f"{FIXTURES}{name}"
+        return self._values(stream) if stream in self.episode.streams else None
+
     def _values(self, stream: str) -> np.ndarray:
         """(frames, size) of a stream: the latest sample at or before each frame."""
         if not self._read:
@@ -115,6 +122,7 @@ class Readings:
         """All streams that may be asked for, in one pass over the file."""
         wanted = {*self._poses.values(), *(stream for stream, _ in self._contacts.values())}
         wanted |= {c.stream for c in find_channels(self.episode.streams)}
+        wanted |= {name for name in self.episode.streams if name.startswith(FIXTURES)}
         times: dict[str, list[np.ndarray]] = {}
         values: dict[str, list[np.ndarray]] = {}
         for batch in self.episode.read(sorted(wanted)) if wanted else ():

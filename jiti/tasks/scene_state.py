@@ -6,6 +6,7 @@ one network learns all tasks. Recordings (`jiti.curate`) and the simulator (`jit
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from jiti.tasks.task import Task
 
 SLOTS = 8
 """Things that have a place; more are left out. Our choice: the fullest scenes of LIBERO-Elegant (T2, T6) have eight."""
+JOINTS = 3
+"""Moving parts of a thing that are told; more are left out. Our choice: LIBERO's cabinets have three drawers, its stove
+a knob, its microwave a door."""
 _AXES = ("x", "y", "z")
 
 
@@ -42,29 +46,40 @@ def scene_state_names() -> tuple[str, ...]:
         names += [f"thing_{slot}.from_hand.{axis}_m" for axis in _AXES]
         names += [f"thing_{slot}.from_thing_0.{axis}_m" for axis in _AXES] if slot else []
         names += [f"thing_{slot}.{column}_axis.{axis}" for column in ("x", "z") for axis in _AXES]
+        names += [f"thing_{slot}.joint_{joint}" for joint in range(JOINTS)]
     return tuple(names)
 
 
 def scene_state(
-    hand_m: np.ndarray, poses: Mapping[str, np.ndarray], order: Iterable[str], touched: np.ndarray
+    hand_m: np.ndarray,
+    poses: Mapping[str, np.ndarray],
+    order: Iterable[str],
+    touched: np.ndarray,
+    joints: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> np.ndarray:
     """(T, n) float32, of the hand's place (T, 3) in the world, poses (T, 7) in the world with x, y, z in m and a
-    quaternion x, y, z, w, and whether the hand touches the first thing (T,).
+    quaternion x, y, z, w, whether the hand touches the first thing (T,), and how far the moving parts of things stand,
+    (T, any) in m or rad.
 
     All in the world's axes: places from the hand's place and from the first thing's, and the x and z axes of each
-    thing. Places that no thing has are zeros.
+    thing. Places that no thing has are zeros, and so are parts.
     """
     frames = len(hand_m)
     parts: list[np.ndarray] = [np.asarray(touched, np.float64).reshape(frames, 1)]
     named = [*order][:SLOTS]
     for slot in range(SLOTS):
         if slot >= len(named):
-            parts.append(np.zeros((frames, 9 + 3 * bool(slot))))
+            parts.append(np.zeros((frames, 9 + 3 * bool(slot) + JOINTS)))
             continue
-        pose = poses[named[slot]]
+        name = named[slot]
+        pose, moving = poses[name], np.zeros((frames, JOINTS))
         parts.append(pose[:, :3] - hand_m)
         if slot:
             parts.append(pose[:, :3] - poses[named[0]][:, :3])
         turned = matrices(pose[:, 3:])
         parts += [turned[:, :, 0], turned[:, :, 2]]
+        if name in joints:
+            stand = joints[name][:, :JOINTS]
+            moving[:, : stand.shape[1]] = stand
+        parts.append(moving)
     return np.concatenate(parts, axis=1).astype(np.float32)

@@ -32,6 +32,13 @@ def test_places_are_from_the_hand_and_from_what_it_moves():
     assert not any(named(vector, "thing_2"))
 
 
+def test_moving_parts_are_told_as_many_as_have_a_place():
+    poses = {"cabinet": pose(0, 0, 0), "stove": pose(1, 0, 0), "plate": pose(2, 0, 0)}
+    joints = {"cabinet": np.array([[0.1, 0.2, 0.3, 0.4]]), "stove": np.array([[0.5]]), "elsewhere": np.array([[9.0]])}
+    vector = scene_state(np.zeros((1, 3)), poses, [*poses], np.zeros(1), joints)
+    assert [named(vector, f"thing_{k}.joint") for k in range(4)] == [[0.1, 0.2, 0.3], [0.5, 0, 0], [0] * 3, [0] * 3]
+
+
 @pytest.mark.parametrize("count", [1, 3, SLOTS, SLOTS + 4])
 def test_any_number_of_things_gives_the_same_numbers(count):
     poses = {f"thing_{k}": np.repeat(pose(k, 0, 0), 5, axis=0) for k in range(count)}

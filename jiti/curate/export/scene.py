@@ -42,4 +42,5 @@ def recorded_scene_state(episode: Episode, task: Task | None, title: str) -> np.
     touched = readings.touching(GRIPPER, order[0])
     if touched is None:
         touched = np.zeros(readings.frames, bool)
-    return scene_state(readings.hand_m, poses, order, touched)
+    joints = {name: stand for name in order if (stand := readings.joints(name)) is not None}
+    return scene_state(readings.hand_m, poses, order, touched, joints)

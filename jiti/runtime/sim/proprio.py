@@ -44,7 +44,9 @@ def scene_vector(scene: Scene, order: Sequence[str]) -> np.ndarray:
     poses = {name: scene.world.pose(name) for name in order}
     vectors = {name: np.append(pose[:3, 3], quaternion_xyzw(pose))[None] for name, pose in poses.items()}
     touched = (GRIPPER, order[0]) in scene.world.contacts()
-    return scene_state(scene.world_T_eef[None, :3, 3], vectors, order, np.array([touched]))[0]
+    fixtures = scene.world.names.fixtures
+    joints = {name: scene.world.joints(name)[None] for name in order if name in fixtures}
+    return scene_state(scene.world_T_eef[None, :3, 3], vectors, order, np.array([touched]), joints)[0]
 
 
 def spoken_regions(scene: Scene) -> list[str]:
