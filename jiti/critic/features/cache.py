@@ -96,7 +96,7 @@ def feature_cache(
     shards = -(-data.frames // SHARD_FRAMES)
     left = [shard for shard in range(shards) if not _mark(at, shard).exists()]
     if left:
-        job = _Job(at, data.root, data.frames, dict(data.shapes), name, device, kind)
+        job = _Job(at, data.root, data.frames, dict(data.shapes), name, device, kind, SHARD_FRAMES)
         for done, shard in enumerate(_filled(job, extractor, left, workers), 1):
             progress((shards - len(left) + done) / shards, f"features of frame {shard * SHARD_FRAMES} and on")
     return open_cache(at)
@@ -132,6 +132,7 @@ class _Job:
     name: str
     device: str
     kind: Kind
+    shard_frames: int
 
 
 def _about(data: ElegantData, extractor: FeatureExtractor, kind: Kind) -> dict[str, Any]:
@@ -209,8 +210,8 @@ def _fill(job: _Job, extractor: FeatureExtractor, shard: int) -> None:
     """Compute and write the rows of one shard, then its mark."""
     import torch
 
-    first = shard * SHARD_FRAMES
-    stop = min(first + SHARD_FRAMES, job.frames)
+    first = shard * job.shard_frames
+    stop = min(first + job.shard_frames, job.frames)
     parts = []
     with torch.inference_mode():
         for batch in observations(job.root, extractor.needs, first, stop, BATCH_FRAMES):
