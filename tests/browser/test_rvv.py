@@ -35,6 +35,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_worst_suspect_is_fixed_in_the_annotator(serve, screen, folder: Path) -> None:
     label(folder, "ada", "a", 40, 64, 1)
     label(folder, "ada", "b", 40, 64, 0)

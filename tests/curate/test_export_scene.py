@@ -13,7 +13,7 @@ from tests.builders.mcap import write_mcap
 
 
 @pytest.mark.sim
-@pytest.mark.parametrize("task_id", ["elegant/T2", "elegant/T3"])
+@pytest.mark.parametrize("task_id", [pytest.param("elegant/T2", marks=pytest.mark.slow), "elegant/T3"])
 def test_a_recording_gives_what_the_simulator_gives(tmp_path, task_id):
     pytest.importorskip("mujoco", reason="install jiti[sim]")
     from jiti.runtime.sim.proprio import scene_order, scene_vector

@@ -51,6 +51,7 @@ def test_care_is_elegant_and_its_lack_is_not(task_id):
             assert good, (task_id, quality, outcome)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_demonstration():
     with Scene(CATALOGUE.task("elegant/T2")) as scene:
         first, _ = demonstrate(scene, 0.5, 7)
@@ -68,6 +69,7 @@ def test_quality_is_the_share_that_is_meant_to_be_elegant(quality):
     assert len({tuple(is_careful(seed, 0.5) for seed in range(k, k + 8)) for k in range(50)}) > 8  # no short period
 
 
+@pytest.mark.slow
 def test_the_same_start_is_done_in_different_ways():
     with Scene(CATALOGUE.task("elegant/T2")) as scene:
         paths = []
