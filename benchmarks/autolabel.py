@@ -8,24 +8,19 @@ to four contact sheets in each. A request's share of a core is the processor tim
 how many a second one core can feed to a model. The peer of a sheet is a pass over the same file with mcap alone.
 """
 
-import argparse
-import json
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 from bench import Bench
-from machine import OtherWork, describe
 from mcap.reader import make_reader
+from program import arguments, run
 from recordings import episodes, recording
-from report import Line, show, timed
-from rich.console import Console
+from report import Line, timed
 
 from jiti.annotate.autolabel import autolabel
 from jiti.annotate.engine import Engine
@@ -115,22 +110,7 @@ def _server() -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small sizes: shows that it runs, measures nothing")
-    parser.add_argument("--folder", type=Path, help="keeps what is made once (default: a temporary folder)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here as well")
-    asked = parser.parse_args()
-    kept = asked.folder or Path(tempfile.gettempdir()) / "jiti-benchmarks"
-    kept.mkdir(parents=True, exist_ok=True)
-    console = Console()
-    bench = Bench(kept, Console(stderr=True), asked.quick)
-    with OtherWork() as other:
-        lines = list(measure(bench))
-    lines = [replace(line, others_percent=other.percent) for line in lines]
-    machine = describe(kept)
-    show(lines, machine, quick=asked.quick, console=console)
-    if asked.json:
-        asked.json.write_text(json.dumps({"machine": machine, "lines": [line.to_json() for line in lines]}, indent=2))
+    run(arguments(__doc__).parse_args(), measure)
 
 
 if __name__ == "__main__":

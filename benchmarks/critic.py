@@ -7,22 +7,23 @@ simulated recordings: 102 state numbers, actions of 7. One update is Q, actor, t
 A read of the cache is a batch of 32 random frames; its peer reads the same frames by LeRobotDataset.
 """
 
-import argparse
-import json
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 from bench import Bench
-from machine import OtherWork, describe
-from report import Line, show, timed
-from rich.console import Console
+from program import arguments, run
+from report import Line, timed
 
-STATE, ACTION, BATCH = 102, 7, 32
+from jiti.tasks.scene_state import scene_state_names
+
+STATE = 8 + len(scene_state_names())
+"""Numbers that are observed: LIBERO's proprioception and the scene."""
+ACTION, BATCH = 7, 32
 FASTER = 20.0
 """How much faster than LeRobotDataset the cache is to be."""
 
@@ -64,12 +65,12 @@ def _updates(bench: Bench) -> Iterator[Line]:
             torch.rand(BATCH),
         )
         rates = []
-        for run in range(bench.count(6, 3)):
+        for attempt in range(bench.count(6, 3)):
             steps = bench.count(30, 5)
             begin = time.perf_counter()
             for step in range(steps):
                 train_step(state, batch, draw_noise(settings, ACTION, step, team), settings, team)
-            if run:  # the first warms up
+            if attempt:  # the first warms up
                 rates.append(steps / (time.perf_counter() - begin))
         yield _rates("updates", f"{name}: updates at batch {BATCH}", rates)
 
@@ -107,23 +108,10 @@ def _rates(bench: str, what: str, rates: list[float]) -> Line:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--dataset", type=Path, help="a dataset of `jiti curate`, whose features are read")
-    parser.add_argument("--quick", action="store_true", help="small sizes: shows that it runs, measures nothing")
-    parser.add_argument("--folder", type=Path, help="keeps what is made once (default: a temporary folder)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here as well")
     asked = parser.parse_args()
-    kept = asked.folder or Path(tempfile.gettempdir()) / "jiti-benchmarks"
-    kept.mkdir(parents=True, exist_ok=True)
-    console = Console()
-    bench = Bench(kept, Console(stderr=True), asked.quick)
-    with OtherWork() as other:
-        lines = list(measure(bench, asked.dataset))
-    lines = [replace(line, others_percent=other.percent) for line in lines]
-    machine = describe(kept)
-    show(lines, machine, quick=asked.quick, console=console)
-    if asked.json:
-        asked.json.write_text(json.dumps({"machine": machine, "lines": [line.to_json() for line in lines]}, indent=2))
+    run(asked, partial(measure, dataset=asked.dataset))
 
 
 if __name__ == "__main__":

@@ -8,25 +8,21 @@ camera in processes of their own), with its streaming encoder, and with its own 
 process of its own, timed from the first recording that is opened, without imports.
 """
 
-import argparse
 import json
 import os
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from bench import Bench
-from machine import OtherWork, describe
+from program import arguments, run
 from recordings import episodes
-from report import Line, show, timed
-from rich.console import Console
+from report import Line, timed
 
 from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import Segment, new_segment_id
@@ -174,22 +170,7 @@ def main() -> None:
         how, source, out, codec = sys.argv[2:]
         _one(how, Path(source), Path(out), codec)
         return
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small sizes: shows that it runs, measures nothing")
-    parser.add_argument("--folder", type=Path, help="keeps what is made once (default: a temporary folder)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here as well")
-    asked = parser.parse_args()
-    kept = asked.folder or Path(tempfile.gettempdir()) / "jiti-benchmarks"
-    kept.mkdir(parents=True, exist_ok=True)
-    console = Console()
-    bench = Bench(kept, Console(stderr=True), asked.quick)
-    with OtherWork() as other:
-        lines = list(measure(bench))
-    lines = [replace(line, others_percent=other.percent) for line in lines]
-    machine = describe(kept)
-    show(lines, machine, quick=asked.quick, console=console)
-    if asked.json:
-        asked.json.write_text(json.dumps({"machine": machine, "lines": [line.to_json() for line in lines]}, indent=2))
+    run(arguments(__doc__).parse_args(), measure)
 
 
 if __name__ == "__main__":
