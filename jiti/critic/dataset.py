@@ -15,10 +15,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jiti.curate.export.split import SPLITS as SEEN
+from jiti.curate.export.split import UNSEEN
 from jiti.curate.returns import GAMMA, mc_returns
+from jiti.episodes.lerobot_index import episode_id_of
 from jiti.errors import SourceError
 
-SPLITS = ("train", "validation", "test", "unseen")
+SPLITS = (*SEEN, UNSEEN)
 """Of meta/jiti/episodes.parquet; `unseen` are episodes of tasks that no other split has."""
 NEEDED = {
     "action": "actions",
@@ -94,6 +97,10 @@ class ElegantData:
         """The same frames with other rewards (frames,) or another discount, and the returns that follow."""
         returns = mc_returns(reward, self.offsets, gamma)
         return replace(self, gamma=gamma, reward=reward.astype(np.float32), mc_return=returns.astype(np.float32))
+
+    def with_gamma(self, gamma: float | None) -> "ElegantData":
+        """The same frames with the returns of another discount; with None, its own."""
+        return self if gamma is None or gamma == self.gamma else self.with_rewards(self.reward, gamma)
 
     def with_splits(self, split: np.ndarray) -> "ElegantData":
         """The same frames with other splits (episodes,)."""
@@ -261,7 +268,7 @@ def _episodes(root: Path, table: pa.Table, offsets: np.ndarray) -> dict[str, np.
     """Split, task and name of each episode; without meta/jiti/episodes.parquet all are for training."""
     numbers = table["episode_index"].to_numpy()[offsets[:-1]]
     tasks = [f"task {t}" for t in table["task_index"].to_numpy()[offsets[:-1]]]
-    names = [f"episode_{n:06d}" for n in numbers]
+    names = [episode_id_of(int(n)) for n in numbers]
     splits = ["train"] * len(numbers)
     path = root / "meta/jiti/episodes.parquet"
     if path.exists():

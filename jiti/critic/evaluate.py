@@ -16,7 +16,7 @@ import torch  # noqa: TID253  imported late, by the command
 from jiti.critic.calibration import Calibration, calibration, plot_calibration
 from jiti.critic.chunks import cut_chunks
 from jiti.critic.critic import Critic, load_critic
-from jiti.critic.dataset import ElegantData, read_elegant
+from jiti.critic.dataset import SPLITS, ElegantData, read_elegant
 from jiti.critic.features.cache import FeatureCache, feature_cache
 from jiti.critic.q_recording import write_q_recording
 from jiti.critic.ranking import (
@@ -26,6 +26,7 @@ from jiti.critic.ranking import (
     chunk_values,
     decided_segments,
     frames_scored,
+    member_values,
     rank,
     recorded_values,
     segment_scores,
@@ -33,6 +34,7 @@ from jiti.critic.ranking import (
 from jiti.critic.settings import Settings
 from jiti.critic.settings_file import settings_from
 from jiti.durable import make_folder, write_atomic
+from jiti.episodes.lerobot_index import episode_id_of
 from jiti.episodes.reader import open_reader
 from jiti.errors import SourceError, UsageError
 from jiti.progress import Progress
@@ -103,7 +105,7 @@ def evaluate(
     held_out = data.of_split(split)
     segments = decided_segments(data, held_out)
     if not segments:
-        have = ", ".join(f"{name} ({len(data.of_split(name))})" for name in ("train", "validation", "test", "unseen"))
+        have = ", ".join(f"{name} ({len(data.of_split(name))})" for name in SPLITS)
         raise UsageError(f"--split {split} has no labelled episode in {data.root}. There are: {have}.")
     cache = feature_cache(data, settings.data.features, folder=features_dir, device=device, progress=progress)
     _check(critic, data, cache)
@@ -148,7 +150,7 @@ def swapped_scores(
             acts = frames_scored(data, segments[own[other]], critic.chunk)
             acts = acts[np.minimum(np.arange(len(states)), len(acts) - 1)]
             chunks = cut_chunks(data, acts, chunk=critic.chunk, offset=1, gamma=data.gamma, limits=critic.limits)
-            scores[own[place]] = chunk_values(critic, cache, states, chunks.action, chunks.mask).mean()
+            scores[own[place]] = chunk_values(critic, cache, states, chunks.action, chunks.mask).min(0).mean()
     return scores
 
 
@@ -177,18 +179,14 @@ def show_episode(critic: Critic, data: ElegantData, cache: FeatureCache, episode
     if not 0 <= episode < data.episodes:
         raise UsageError(f"--episode {episode}: {data.root} has episodes 0 to {data.episodes - 1}.")
     reader = open_reader(data.root)
-    name = f"episode_{episode:06d}"
+    name = episode_id_of(episode)
     frames = data.frames_of(np.array([episode]))
-    chunks = cut_chunks(data, frames, chunk=critic.chunk, offset=1, gamma=data.gamma, limits=critic.limits)
-    with torch.no_grad():
-        device = critic.q.scale.device
-        action = torch.from_numpy(chunks.action).unsqueeze(1).to(device)
-        q = critic.q(cache.read(frames).to(device), action, torch.from_numpy(chunks.mask).to(device))[:, :, 0]
+    q = member_values(critic, data, cache, frames)
     path = folder / f"q-{name}.rrd"
     write_q_recording(
         path,
         reader.open(name),
-        q.cpu().numpy(),
+        q,
         data.mc_return[frames],
         data.reward[frames],
         data.annotated[frames],
@@ -202,9 +200,7 @@ def _data(critic: Critic, settings: Settings, dataset: Path | None) -> ElegantDa
         raise UsageError(
             f"{root}, which the critic was trained on, is not there. Name it: jiti train-critic DATASET --evaluate RUN."
         )
-    data = read_elegant(root)
-    gamma = settings.data.gamma
-    return data if gamma is None or gamma == data.gamma else data.with_rewards(data.reward, gamma)
+    return read_elegant(root).with_gamma(settings.data.gamma)
 
 
 def _check(critic: Critic, data: ElegantData, cache: FeatureCache) -> None:

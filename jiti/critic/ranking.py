@@ -70,23 +70,28 @@ def frames_scored(data: ElegantData, segment: Decided, chunk: int) -> np.ndarray
 
 def recorded_values(critic: Critic, data: ElegantData, cache: FeatureCache, frames: np.ndarray) -> np.ndarray:
     """min_E Q (n,) float32 of the recorded chunks that start at frames (n,)."""
-    parts = [np.zeros(0, np.float32)]
+    return member_values(critic, data, cache, frames).min(0)
+
+
+def member_values(critic: Critic, data: ElegantData, cache: FeatureCache, frames: np.ndarray) -> np.ndarray:
+    """Q of each member (E, n) float32 of the recorded chunks that start at frames (n,)."""
+    parts = [np.zeros((critic.network.ensemble, 0), np.float32)]
     for begin in range(0, len(frames), BATCH):
         part = frames[begin : begin + BATCH]
         chunks = cut_chunks(data, part, chunk=critic.chunk, offset=1, gamma=data.gamma, limits=critic.limits)
         parts.append(chunk_values(critic, cache, part, chunks.action, chunks.mask))
-    return np.concatenate(parts)
+    return np.concatenate(parts, axis=1)
 
 
 @torch.no_grad()
 def chunk_values(
     critic: Critic, cache: FeatureCache, frames: np.ndarray, action: np.ndarray, mask: np.ndarray
 ) -> np.ndarray:
-    """min_E Q (n,) float32 of chunks (n, K, A) in -1 to 1 with masks (n, K) at frames (n,)."""
+    """Q of each member (E, n) float32 of chunks (n, K, A) in -1 to 1 with masks (n, K) at frames (n,)."""
     device = critic.q.scale.device
     chunks = torch.from_numpy(action).unsqueeze(1).to(device)
     q = critic.q(cache.read(frames).to(device), chunks, torch.from_numpy(mask).to(device))
-    return q.amin(0)[:, 0].cpu().numpy()
+    return q[:, :, 0].cpu().numpy()
 
 
 def segment_scores(

@@ -3,7 +3,6 @@
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import torch  # noqa: TID253  this module is imported late, by the command
@@ -189,7 +188,8 @@ def train_step(state: State, batch: Batch, noise: Noise, settings: Settings, tea
         total, conservative, metrics = critic_losses(state, batch, noise, loss)
     metrics["norm/critic"] = _descend(state.optimizers["critic"], total, team, clip)
 
-    for parameter in critic.q.parameters():
+    learned = [parameter for parameter in critic.q.parameters() if parameter.requires_grad]
+    for parameter in learned:
         parameter.requires_grad_(False)
     with team.precision(settings.run.precision):
         chunks, log_density = critic.actor.sample(batch.features, batch.mask, noise.actor)
@@ -197,7 +197,8 @@ def train_step(state: State, batch: Batch, noise: Noise, settings: Settings, tea
     temperature = state.log_temperature.exp()
     actor = actor_loss(log_density, q_policy, temperature)
     metrics["norm/actor"] = _descend(state.optimizers["actor"], actor, team, clip)
-    _unfreeze(critic.q)
+    for parameter in learned:
+        parameter.requires_grad_(True)
 
     numbers = settings.network.chunk * batch.action.shape[-1]
     entropy = -float(numbers) if loss.target_entropy is None else loss.target_entropy
@@ -230,11 +231,3 @@ def _descend(optimizer: torch.optim.Optimizer, loss: Tensor, team: Team, clip: f
     norm = nn.utils.clip_grad_norm_(parameters, clip) if clip else loss.new_zeros(())
     optimizer.step()
     return norm
-
-
-def _unfreeze(q: QEnsemble) -> None:
-    for parameter in q.parameters():
-        parameter.requires_grad_(True)
-    if isinstance(q.trunk, Backbone):
-        model: Any = q.trunk.model
-        model.get_input_embeddings().requires_grad_(False)

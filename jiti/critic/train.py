@@ -120,10 +120,10 @@ def train(
 
 def open_data(data: ElegantData, settings: Settings) -> ElegantData:
     """The data with the discount of the settings, and with verdicts dealt anew where they say so."""
-    gamma = data.gamma if settings.data.gamma is None else settings.data.gamma
+    data = data.with_gamma(settings.data.gamma)
     if settings.data.shuffle_labels:
-        return data.with_rewards(shuffled_rewards(data, settings.run.seed), gamma)
-    return data if gamma == data.gamma else data.with_rewards(data.reward, gamma)
+        return data.with_rewards(shuffled_rewards(data, settings.run.seed), data.gamma)
+    return data
 
 
 class _Looking:

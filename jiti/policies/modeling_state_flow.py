@@ -81,14 +81,15 @@ class StateFlowPolicy(PreTrainedPolicy):
         `action` is (B, K, A), `action_is_pad` (B, K) says what lies behind the episode's end and does not count.
         """
         draws = self.config.draws
-        encoded = self._encode(self.network if self.training else self.average, batch).repeat_interleave(draws, 0)
+        network = self.network if self.training else self.average
+        encoded = self._encode(network, batch).repeat_interleave(draws, 0)
         actions = batch[ACTION].repeat_interleave(draws, 0)
         padding = batch.get(PADDING)
-        valid = torch.ones_like(actions[..., 0]) if padding is None else (~padding).to(actions.dtype)
-        valid = valid if padding is None else valid.repeat_interleave(draws, 0)
+        valid = torch.ones_like(actions[..., 0])
+        if padding is not None:
+            valid = (~padding).to(actions.dtype).repeat_interleave(draws, 0)
         noise = torch.randn_like(actions)
         tau = torch.rand(len(actions), dtype=actions.dtype, device=actions.device)
-        network = self.network if self.training else self.average
         velocity = network(encoded, interpolate(actions, noise, tau), tau)
         losses = flow_loss(velocity, actions, noise, valid).unflatten(0, (-1, draws)).mean(1)
         loss = losses if reduction == "none" else losses.mean()
