@@ -12,7 +12,7 @@ import numpy as np
 
 from jiti.annotate.channels import METRES, Channel, find_channels
 from jiti.episodes.clock import Clock
-from jiti.episodes.episode import Episode, NumericBatch
+from jiti.episodes.episode import Episode, samples
 
 EventKind = Literal["gripper_close", "gripper_open", "velocity_zero", "contact_on", "contact_off"]
 
@@ -71,13 +71,14 @@ type Events = tuple[Event, ...]
 def find_events(episode: Episode) -> Events:
     """All events of an episode, in one pass over the numeric streams that matter; none where none can be told."""
     channels = find_channels(episode.streams)
-    times, values = _read(episode, channels)
+    read = samples(episode, dict.fromkeys(channel.stream for channel in channels))
     clock = episode.clock
     signals: dict[Channel, tuple[int, np.ndarray]] = {}
     for channel in channels:
-        if channel.stream in times:
-            raw = values[channel.stream][:, channel.columns]
-            first, signal = _on_frames(clock, times[channel.stream], raw, interpolate=channel.role == "motion")
+        time_ns, values = read[channel.stream]
+        if len(time_ns):
+            raw = values[:, channel.columns]
+            first, signal = _on_frames(clock, time_ns, raw, interpolate=channel.role == "motion")
             if len(signal) >= 3:
                 signals[channel] = first, signal
     found = [
@@ -87,17 +88,6 @@ def find_events(episode: Episode) -> Events:
         for frame, kind, sharpness in _of_channel(channel, signal, clock.rate_hz)
     ]
     return _merged(found, clock.rate_hz)
-
-
-def _read(episode: Episode, channels: Iterable[Channel]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Times (N,) and values (N, size) of the streams that the channels name, from one pass."""
-    wanted = list(dict.fromkeys(channel.stream for channel in channels))
-    batches: dict[str, list[NumericBatch]] = {}
-    for batch in episode.read(wanted) if wanted else ():
-        if isinstance(batch, NumericBatch) and len(batch.time_ns):
-            batches.setdefault(batch.stream, []).append(batch)
-    times = {name: np.concatenate([b.time_ns for b in some]) for name, some in batches.items()}
-    return times, {name: np.concatenate([b.values for b in some]) for name, some in batches.items()}
 
 
 def _on_frames(clock: Clock, time_ns: np.ndarray, raw: np.ndarray, *, interpolate: bool) -> tuple[int, np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from jiti.annotate.channels import find_channels, is_place
 from jiti.annotate.events import gripper_opening
-from jiti.episodes.episode import Episode, NumericBatch, Stream
+from jiti.episodes.episode import Episode, Stream, samples
 from jiti.tasks.rotation import matrices
 
 GRIPPER = "gripper"
@@ -123,17 +123,10 @@ class Readings:
         wanted = {*self._poses.values(), *(stream for stream, _ in self._contacts.values())}
         wanted |= {c.stream for c in find_channels(self.episode.streams)}
         wanted |= {name for name in self.episode.streams if name.startswith(FIXTURES)}
-        times: dict[str, list[np.ndarray]] = {}
-        values: dict[str, list[np.ndarray]] = {}
-        for batch in self.episode.read(sorted(wanted)) if wanted else ():
-            if isinstance(batch, NumericBatch) and len(batch.time_ns):
-                times.setdefault(batch.stream, []).append(batch.time_ns)
-                values.setdefault(batch.stream, []).append(batch.values)
         held: dict[str, np.ndarray] = {}
-        for name in wanted:
-            if name in times:
-                at = self.episode.clock.hold(np.concatenate(times[name]))
-                held[name] = np.concatenate(values[name])[np.maximum(at, 0)]
+        for name, (time_ns, values) in samples(self.episode, sorted(wanted)).items():
+            if len(time_ns):
+                held[name] = values[np.maximum(self.episode.clock.hold(time_ns), 0)]
             else:
                 held[name] = np.full((self.frames, *self.episode.streams[name].shape), np.nan)
         return held

@@ -4,7 +4,7 @@ All times are integer nanoseconds in the recording's own clock. Sample times nev
 stream: a reader unwraps clock jumps and says so in `Episode.problems`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
@@ -170,7 +170,19 @@ def loss(episode: Episode) -> Problem | None:
 
 def numbers(episode: Episode, stream: str) -> tuple[np.ndarray, np.ndarray]:
     """All of one numeric stream: times (N,) int64 in nanoseconds and values (N, size) float64."""
-    batches = [b for b in episode.read([stream]) if isinstance(b, NumericBatch)]
-    if not batches:
-        return np.empty(0, np.int64), np.empty((0, *episode.streams[stream].shape))
-    return np.concatenate([b.time_ns for b in batches]), np.concatenate([b.values for b in batches])
+    return samples(episode, [stream])[stream]
+
+
+def samples(episode: Episode, streams: Iterable[str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """As `numbers`, of several streams in one pass over the file, by name; no samples for one that has none."""
+    batches: dict[str, list[NumericBatch]] = {name: [] for name in streams}
+    for batch in episode.read(list(batches)) if batches else ():
+        if isinstance(batch, NumericBatch) and len(batch.time_ns):
+            batches[batch.stream].append(batch)
+    found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name in list(batches):
+        some = batches.pop(name)
+        time_ns = [b.time_ns for b in some] or [np.empty(0, np.int64)]
+        values = [b.values for b in some] or [np.empty((0, *episode.streams[name].shape))]
+        found[name] = np.concatenate(time_ns), np.concatenate(values)
+    return found

@@ -1,13 +1,13 @@
 """The numbers of one episode on the dataset's frames: held, checked, as float32."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from jiti.curate.export.features import Feature, columns_of
 from jiti.curate.export.frames import Frames
 from jiti.curate.export.scene import recorded_scene_state
-from jiti.episodes.episode import Episode, NumericBatch
+from jiti.episodes.episode import Episode, samples
 from jiti.errors import SourceError
 from jiti.tasks.task import Task
 
@@ -24,7 +24,7 @@ def read_numbers(
     number is missing or no number, and where a stream starts long after the first frame.
     """
     wanted = list(dict.fromkeys(name for feature in features for name in feature.streams))
-    held = {name: _held(*samples, name, frames, title) for name, samples in _read(episode, wanted).items()}
+    held = {name: _held(*read, name, frames, title) for name, read in samples(episode, wanted).items()}
     found: dict[str, np.ndarray] = {}
     for feature in features:
         if feature.scene_state:
@@ -35,23 +35,6 @@ def read_numbers(
             _check(values, feature, episode, title)
             found[feature.key] = values.astype(np.float32)
     return found
-
-
-def _read(episode: Episode, wanted: Sequence[str]) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
-    """Times and values of all samples of the streams."""
-    times: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
-    values: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
-    for batch in episode.read(wanted) if wanted else ():
-        if isinstance(batch, NumericBatch) and len(batch.time_ns):
-            times[batch.stream].append(batch.time_ns)
-            values[batch.stream].append(batch.values)
-    return {
-        name: (
-            np.concatenate(times[name]) if times[name] else np.empty(0, np.int64),
-            np.concatenate(values[name]) if values[name] else np.empty((0, *episode.streams[name].shape)),
-        )
-        for name in wanted
-    }
 
 
 def _held(time_ns: np.ndarray, values: np.ndarray, stream: str, frames: Frames, title: str) -> np.ndarray:
