@@ -1,7 +1,7 @@
 """The `jiti` command. Each subcommand parses, imports what it needs, calls one function and prints."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +11,7 @@ import typer
 
 from jiti import __version__
 from jiti.errors import JitiError, UsageError
+from jiti.progress import Progress
 
 if TYPE_CHECKING:
     from jiti.annotate.web.session import Session
@@ -560,12 +561,12 @@ def train_critic(
 
 
 @contextmanager
-def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
+def _progress(what: str) -> Iterator[Progress]:
     """A bar on a terminal, a line every `QUIET_S` elsewhere; called with the share done and what is being done."""
     from time import monotonic
 
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress as Bar
 
     console = Console(stderr=True)
     said = monotonic()
@@ -578,7 +579,7 @@ def _progress(what: str) -> Iterator[Callable[[float, str], None]]:
             said = monotonic()
             print(f"{what}: {share:.0%}, {now}", file=sys.stderr)
 
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
         yield tell
 

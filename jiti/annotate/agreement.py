@@ -138,9 +138,7 @@ class Agreement:
 
 def compare_labels(labels_dir: Path, a: str, b: str) -> Agreement:
     """Compare two annotators of a labels folder. Raises LabelError like `compare`, or when a file cannot be read."""
-    labels = read_labels(labels_dir)
-    if labels.problems:
-        raise LabelError("; ".join(map(str, labels.problems[:3])))
+    labels = read_labels(labels_dir).whole()
     counts = {episode_id: recording.frame_count for episode_id, recording in labels.by_episode().items()}
     return compare(labels.segments, counts, a, b)
 

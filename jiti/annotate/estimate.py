@@ -1,6 +1,5 @@
 """What `jiti autolabel --vlm` would ask of a model that it has not asked before."""
 
-from collections.abc import Callable
 from contextlib import suppress
 
 from jiti.annotate.measured import decide_by_numbers
@@ -16,6 +15,7 @@ from jiti.annotate.vlm.settings import Settings
 from jiti.annotate.vlm.sheets import sheet_size
 from jiti.episodes.episode import Episode, EpisodeReader
 from jiti.errors import JitiError, SourceError
+from jiti.progress import Progress
 from jiti.tasks.catalogue import Catalogue
 
 FACT_TOKENS = 350
@@ -26,7 +26,7 @@ def estimate(
     reader: EpisodeReader,
     catalogue: Catalogue,
     proposer: Proposer,
-    progress: Callable[[float, str], None] = lambda _share, _what: None,
+    progress: Progress = lambda _share, _what: None,
 ) -> Estimate:
     """What the run would ask that it has not asked before; answers in the cache are not looked for."""
     total, refs = Estimate(), reader.episodes()

@@ -177,9 +177,7 @@ class Evaluation:
 
 def evaluate(labels_dir: Path, proposer: str, reference: str) -> Evaluation:
     """Compare a machine's proposals in a labels folder. Raises LabelError when either has none there."""
-    labels = read_labels(labels_dir)
-    if labels.problems:
-        raise LabelError("; ".join(map(str, labels.problems[:3])))
+    labels = read_labels(labels_dir).whole()
     table = labels.segments
     names = sorted(set(table["annotator"].to_pylist()))
     proposing = f"run `jiti autolabel {_FLAG.get(proposer, '')}` first"

@@ -40,6 +40,12 @@ class Labels:
     problems: tuple[Problem, ...] = ()
     """Files that could not be read, which are left out."""
 
+    def whole(self) -> "Labels":
+        """These labels, where no file was left out. Raises LabelError, which names those that were."""
+        if self.problems:
+            raise LabelError("; ".join(map(str, self.problems[:3])))
+        return self
+
     def by_episode(self) -> dict[str, Recording]:
         """What is known of each recording; where annotators labelled different ones, the longest."""
         rows = zip(*(self.recordings[name].to_pylist() for name in RECORDINGS.names[1:]), strict=True)
@@ -54,10 +60,7 @@ def read_segments(
     labels_dir: Path, *, annotators: Collection[str] | None = None, episodes: Collection[str] | None = None
 ) -> pa.Table:
     """The segments of `read_labels`, where a file that cannot be read is an error. Raises LabelError."""
-    labels = read_labels(labels_dir, annotators=annotators, episodes=episodes)
-    if labels.problems:
-        raise LabelError("; ".join(map(str, labels.problems[:3])))
-    return labels.segments
+    return read_labels(labels_dir, annotators=annotators, episodes=episodes).whole().segments
 
 
 def read_labels(

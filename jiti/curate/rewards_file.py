@@ -13,7 +13,6 @@ from jiti.curate.returns import GAMMA, mc_returns
 from jiti.curate.rewards import frame_rewards
 from jiti.curate.verdicts import RULE
 from jiti.durable import make_folder, replacing
-from jiti.errors import LabelError
 
 REWARDS_SCHEMA = pa.schema(
     [
@@ -34,9 +33,7 @@ def write_rewards(labels_dir: Path, *, gamma: float = GAMMA) -> Path:
     It has every frame of every episode that someone labelled. Raises LabelError when a label file cannot be read:
     rewards without it would be wrong without a word.
     """
-    labels = read_labels(labels_dir)
-    if labels.problems:
-        raise LabelError("; ".join(map(str, labels.problems[:3])))
+    labels = read_labels(labels_dir).whole()
     recordings = dict(sorted(labels.by_episode().items()))
     rewards = frame_rewards(labels.segments, {name: about.frame_count for name, about in recordings.items()})
     returns = mc_returns(rewards.reward, rewards.offsets, gamma)

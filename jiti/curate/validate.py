@@ -2,7 +2,7 @@
 
 import gc
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from jiti.curate.suspects import Suspect, ranked, suspect
 from jiti.episodes.episode import numbers
 from jiti.episodes.mcap_reader import McapReader
 from jiti.errors import SourceError
+from jiti.progress import Progress
 
 KEPT_POINTS = 64
 """Rows kept of a trajectory: twice what `near_identical` compares."""
@@ -92,9 +93,7 @@ class Check:
         }
 
 
-def check_labels(
-    session: Session, *, gamma: float, progress: Callable[[float, str], None] = lambda _share, _what: None
-) -> Check:
+def check_labels(session: Session, *, gamma: float, progress: Progress = lambda _share, _what: None) -> Check:
     """Check every label against the recording as it is now: opens each labelled recording, so it takes its time.
 
     A labelled recording that is gone or cannot be opened is an error. Of one file, only its own labels are checked,

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from jiti.annotate.vlm.sheets import contact_sheets, sheet_size
 from jiti.durable import make_folder, write_atomic
 from jiti.episodes.episode import EpisodeReader
 from jiti.errors import CatalogueError, SourceError, UsageError
+from jiti.progress import Progress
 from jiti.tasks.catalogue_file import read_tasks
 
 VIDEOS = 3
@@ -106,7 +107,7 @@ def discover(
     reader: EpisodeReader | None = None,
     cameras: tuple[str, ...] = (),
     reviewed: Collection[str] = (),
-    progress: Callable[[float, str], None] = lambda _share, _what: None,
+    progress: Progress = lambda _share, _what: None,
 ) -> Discovered:
     """Ask for the ITCs of each task that neither `path` nor `reviewed` has, and add them to `path` as they come.
 

@@ -13,7 +13,6 @@ lack it. Two runs at once on one cache compute some shards twice, and write the 
 
 import json
 import os
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -28,6 +27,7 @@ from jiti.critic.features.base import FeatureExtractor, Shapes, open_extractor
 from jiti.critic.features.rows import observations
 from jiti.durable import make_folder, save_failed, sync, sync_folder, write_atomic, write_whole
 from jiti.errors import SourceError
+from jiti.progress import Progress
 
 if TYPE_CHECKING:
     import torch
@@ -80,7 +80,7 @@ def feature_cache(
     device: str = "cpu",
     workers: int = 1,
     kind: Kind | None = None,
-    progress: Callable[[float, str], None] = lambda _share, _what: None,
+    progress: Progress = lambda _share, _what: None,
 ) -> FeatureCache:
     """The cache of a dataset's features, computed where it is not yet.
 

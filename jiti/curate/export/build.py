@@ -13,6 +13,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from jiti.curate.export.codec import Codec
+from jiti.curate.export.features import DERIVED, INDEX
 from jiti.curate.export.frames import Frames, frames_of
 from jiti.curate.export.journal import Done, DoneVideo, Journal
 from jiti.curate.export.meta import (
@@ -28,17 +29,18 @@ from jiti.curate.export.meta import (
     write_tasks,
 )
 from jiti.curate.export.numbers import read_numbers
-from jiti.curate.export.plan import Plan, PlannedEpisode, Progress
+from jiti.curate.export.plan import Plan, PlannedEpisode
 from jiti.curate.export.remux import join_videos
-from jiti.curate.export.rows import DERIVED, INDEX, data_schema, episode_columns, frame_labels, to_table
+from jiti.curate.export.rows import data_schema, episode_columns, frame_labels, to_table
 from jiti.curate.export.shards import DATA_FILE_BYTES, VIDEO_FILE_BYTES, Joiner, Places, join_tables
 from jiti.curate.export.sources import Source
 from jiti.curate.export.stats import Stats, column_stats, merged
 from jiti.curate.export.videos import Camera, make_video
 from jiti.curate.export.weights import WEIGHTS_FILE, label_progress, write_weights
-from jiti.durable import sync, sync_folder
+from jiti.durable import sync_file, sync_folder
 from jiti.episodes.episode import Episode
 from jiti.errors import SaveFailed, SourceError
+from jiti.progress import Progress
 from jiti.tasks.task import Task
 
 
@@ -178,11 +180,7 @@ def _put(partial: Path, dataset: Path, output: Output) -> None:
     """Give the finished dataset its name, durably."""
     for folder, _, files in os.walk(dataset):
         for name in files:
-            descriptor = os.open(Path(folder, name), os.O_RDONLY | os.O_CLOEXEC)
-            try:
-                sync(descriptor)
-            finally:
-                os.close(descriptor)
+            sync_file(Path(folder, name))
         sync_folder(Path(folder))
     if output.root.exists():
         old = partial / "replaced"

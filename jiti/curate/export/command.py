@@ -11,11 +11,11 @@ from typing import Any, Literal
 from jiti.curate.export.automatic import map_automatically
 from jiti.curate.export.build import Output, build
 from jiti.curate.export.card import dataset_card
-from jiti.curate.export.codec import Codec
+from jiti.curate.export.codec import Codec, Name
 from jiti.curate.export.counted import MAJORITY, Rule
 from jiti.curate.export.features_file import features_toml, read_features
 from jiti.curate.export.filter import Filter
-from jiti.curate.export.plan import Choice, Plan, Progress, make_plan
+from jiti.curate.export.plan import Choice, Plan, make_plan
 from jiti.curate.export.sources import Source, open_sources
 from jiti.curate.export.split import DEFAULT, parse_shares
 from jiti.curate.export.weights import WEIGHTS_FILE
@@ -24,6 +24,7 @@ from jiti.curate.returns import GAMMA
 from jiti.episodes.lerobot_info import INFO_PATH
 from jiti.episodes.lerobot_reader import LeRobotReader
 from jiti.errors import SourceError, UsageError
+from jiti.progress import Progress
 
 Unlabelled = Literal["leave", "keep"]
 
@@ -47,7 +48,7 @@ class Request:
     seed: int = 0
     unseen: tuple[str, ...] = ()
     gamma: float = GAMMA
-    codec: str | None = None
+    codec: Name | None = None
     crf: int | None = None
     weights: bool = False
     report: bool = False
@@ -146,7 +147,7 @@ def curate(request: Request, progress: Progress = lambda _share, _what: None) ->
 def prepare(request: Request, progress: Progress = lambda _share, _what: None) -> Prepared:
     """Open all sources and plan the dataset. Raises JitiError."""
     out = request.check_out()
-    codec = Codec(request.codec or "h264", request.crf) if request.codec or request.crf is not None else None  # type: ignore[arg-type]
+    codec = Codec(request.codec or "h264", request.crf) if request.codec or request.crf is not None else None
     rule = Rule(request.rule, request.accept)
     choice = Choice(
         rule=str(rule),

@@ -50,9 +50,7 @@ class Counted:
 
 def read_counted(labels_dir: Path, rule: Rule, *, episodes: Sequence[str] | None = None) -> Counted:
     """Read and choose. Raises LabelError for files that cannot be read or annotators that are not there."""
-    labels = read_labels(labels_dir, episodes=episodes)
-    if labels.problems:
-        raise LabelError("; ".join(map(str, labels.problems[:3])))
+    labels = read_labels(labels_dir, episodes=episodes).whole()
     table = labels.segments
     annotators = tuple(dict.fromkeys(labels.recordings["annotator"].to_pylist()))
     wanted = () if rule.name == MAJORITY else (rule.name,)

@@ -13,10 +13,23 @@ ACTION = "action"
 ENVIRONMENT_STATE = "observation.environment_state"
 IMAGES = "observation.images."
 
-RESERVED = (
-    "next.reward", "next.done", "next.success", "elegance.annotated", "elegance.mc_return",
-    "timestamp", "frame_index", "episode_index", "index", "task_index",
-)  # fmt: skip
+DERIVED = {
+    "next.reward": "float32",
+    "next.done": "bool",
+    "next.success": "bool",
+    "elegance.annotated": "bool",
+    "elegance.mc_return": "float32",
+}
+"""From the labels and the recorded outcome."""
+INDEX = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+"""Which row is which (lerobot/utils/constants.py, DEFAULT_FEATURES)."""
+RESERVED = (*DERIVED, *INDEX)
 """Columns that are derived and not taken from a recording."""
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from jiti.curate.export.meta import stats_from_json, stats_to_json
 from jiti.curate.export.stats import Stats
-from jiti.durable import make_folder, sync, write_atomic, write_whole
+from jiti.durable import make_folder, sync, sync_file, write_atomic, write_whole
 from jiti.errors import UsageError
 
 FORMAT = 1
@@ -109,7 +109,7 @@ class Journal:
     def add(self, done: Done) -> Done:
         """Note the next episode as finished; its files are on the disk before the note is."""
         for path in (self._folder / "pieces").glob(f"{done.index:06d}.*"):
-            _sync(path)
+            sync_file(path)
         told = {
             "index": done.index,
             "data_bytes": done.data_bytes,
@@ -157,11 +157,3 @@ def _locked(folder: Path) -> int:
         os.close(descriptor)
         raise UsageError(f"another jiti curate writes in {folder}. Wait for it, or pass another --out.") from None
     return descriptor
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        sync(descriptor)
-    finally:
-        os.close(descriptor)

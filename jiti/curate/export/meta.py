@@ -13,9 +13,8 @@ import pyarrow.parquet as pq
 from jiti.annotate.folder import segments_path
 from jiti.annotate.segment_file import FileInfo, Recording, encode
 from jiti.annotate.segments import Segment
-from jiti.curate.export.features import Shape
+from jiti.curate.export.features import DERIVED, INDEX, Shape
 from jiti.curate.export.plan import Plan, PlannedEpisode
-from jiti.curate.export.rows import DERIVED, INDEX
 from jiti.curate.export.shards import CHUNK_FILES, DATA_FILE_BYTES, VIDEO_FILE_BYTES, Place, Places
 from jiti.curate.export.stats import QUANTILES, Stats
 from jiti.episodes.lerobot_index import episode_id_of

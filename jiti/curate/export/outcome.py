@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 
-from jiti.episodes.episode import Episode, NumericBatch
+from jiti.episodes.episode import Episode, numbers
 from jiti.episodes.mcap_episode import McapEpisode
 
 OUTCOME = "outcome"
-"""Key in the metadata of `jiti record`'s recordings (jiti/runtime/sim/record_episode.py)."""
+"""Key in the metadata of `jiti record`'s recordings under which the outcome stands, as JSON."""
 SUCCESS = "next.success"
 """LeRobot's column: true at the last frame of an episode that succeeded."""
 
@@ -22,6 +22,6 @@ def recorded_success(episode: Episode) -> bool | None:
             return None
         return success if isinstance(success, bool) else None
     if SUCCESS in episode.streams and episode.streams[SUCCESS].kind == "numeric":
-        rows = [batch.values for batch in episode.read([SUCCESS]) if isinstance(batch, NumericBatch)]
-        return bool(np.nanmax(np.concatenate(rows)) > 0) if rows else None
+        _, values = numbers(episode, SUCCESS)
+        return bool(np.nanmax(values) > 0) if len(values) else None
     return None

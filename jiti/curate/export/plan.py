@@ -3,13 +3,14 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from jiti.annotate.names import MACHINES
 from jiti.annotate.segments import SCHEMA, Segment
 from jiti.curate.export.automatic import map_automatically
 from jiti.curate.export.features import Feature, Shape, shapes
@@ -24,10 +25,10 @@ from jiti.curate.verdicts import spans
 from jiti.episodes.episode import Episode, EpisodeRef, loss
 from jiti.episodes.lerobot_index import episode_id_of
 from jiti.errors import LabelError, SourceError, UsageError
+from jiti.progress import Progress
 from jiti.tasks.generic import GENERIC
 from jiti.tasks.task import Task
 
-Progress = Callable[[float, str], None]
 GAP_PERIODS = 1.5
 """A picture that comes later than this after the one before it is late. Our choice: one frame was lost."""
 NO_INSTRUCTION = "no instruction recorded"
@@ -269,7 +270,7 @@ def _judge(rows: Sequence[tuple[str, Segment]], frames: Frames, gamma: float) ->
 
 
 def _no_labels(source: Source, choice: Choice) -> LabelError:
-    proposals = [name for name in source.counted.annotators if name in ("sim", "signal", "vlm")]
+    proposals = [name for name in source.counted.annotators if name in MACHINES]
     first = f"There are proposals of {', '.join(proposals)}: review them" if proposals else "Label it"
     also = f", or count them as they are with --accept {proposals[0]}" if proposals else ""
     return LabelError(

@@ -6,28 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 import pyarrow as pa
 
-from jiti.curate.export.features import Shape
+from jiti.curate.export.features import DERIVED, INDEX, Shape
 from jiti.curate.export.plan import PlannedEpisode, segments_table
 from jiti.curate.returns import mc_returns
 from jiti.curate.rewards import frame_rewards
 from jiti.episodes.lerobot_index import episode_id_of
 
-DERIVED = {
-    "next.reward": "float32",
-    "next.done": "bool",
-    "next.success": "bool",
-    "elegance.annotated": "bool",
-    "elegance.mc_return": "float32",
-}
-"""From the labels and the recorded outcome."""
-INDEX = {
-    "timestamp": "float32",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
-"""Which row is which (lerobot/utils/constants.py, DEFAULT_FEATURES)."""
 _TYPES = {"float32": pa.float32(), "bool": pa.bool_(), "int64": pa.int64()}
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jiti.curate.export.outcome import OUTCOME
 from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.episodes.mcap_writer import McapWriter
 from jiti.runtime.sim.demonstrators import demonstrator_for
@@ -21,8 +22,6 @@ from jiti.tasks.rotation import quaternion_xyzw
 START_NS = 1_735_689_600_000_000_000
 """Log time of the first frame: 2025-01-01, 00:00 UTC. Fixed, so that one seed always gives the same messages."""
 STEP_NS = 1_000_000_000 // CONTROL_HZ
-OUTCOME = "outcome"
-"""Key in the metadata under which the outcome stands, as JSON."""
 
 
 def record_episode(
