@@ -98,6 +98,9 @@ def transformers_serve(model: Path) -> Iterator[str]:
     command = [str(Path(sys.executable).with_name("transformers")), "serve", str(model)]
     command += ["--host", "127.0.0.1", "--port", str(port), "--device", "cpu"]
     log = model.parent / f"serve-{port}.log"
+    # It answers 500 to who asks for its models while there is no cache of the Hub, as on a fresh machine.
+    cache = model.parent / "hub"
+    cache.mkdir(exist_ok=True)
     with log.open("wb") as file:
         server = subprocess.Popen(
             command,
@@ -105,7 +108,7 @@ def transformers_serve(model: Path) -> Iterator[str]:
             stdout=file,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            env=os.environ | {"HF_HUB_OFFLINE": "1"},
+            env=os.environ | {"HF_HUB_OFFLINE": "1", "HF_HUB_CACHE": str(cache)},
         )
         try:
             _wait_for(port, server, log)
