@@ -84,23 +84,39 @@ def cut_chunks(
     )
 
 
-class BatchOrder:
-    """Which frames each step takes: pass after pass over all of them, each pass in an order of its own."""
+def reaching_frames(data: ElegantData, frames: np.ndarray, chunk: int) -> np.ndarray:
+    """Those of `frames` (n,) whose chunk of `chunk` actions reaches into a decided segment."""
+    end = data.offsets[data.episode_of[frames] + 1]
+    decided_before = np.concatenate([[0], np.cumsum(data.annotated)])
+    return frames[decided_before[np.minimum(frames + chunk, end)] > decided_before[frames]]
 
-    def __init__(self, frames: np.ndarray, batch: int, seed: int) -> None:
-        self._frames, self._batch, self._seed = frames, batch, seed
-        self._orders: dict[int, np.ndarray] = {}
+
+class BatchOrder:
+    """Which frames each step takes: a share of them from those that reach into decided segments, the rest from all."""
+
+    def __init__(self, frames: np.ndarray, reaching: np.ndarray, batch: int, share: float, seed: int) -> None:
+        chosen = round(share * batch) if len(reaching) else 0
+        self._parts = (_Passes(frames, batch - chosen, (seed, 0)), _Passes(reaching, chosen, (seed, 1)))
 
     def step(self, step: int) -> np.ndarray:
         """The frames (batch,) of a step, counted from 0; a function of its number and the seed alone."""
-        at = np.arange(step * self._batch, (step + 1) * self._batch)
-        passes, places = np.divmod(at, len(self._frames))
-        orders = {
-            number: self._orders[number] if number in self._orders else self._order(number)
-            for number in np.unique(passes).tolist()
-        }
-        self._orders = orders
-        return np.array([orders[number][place] for number, place in zip(passes.tolist(), places, strict=True)])
+        return np.concatenate([part.step(step) for part in self._parts])
+
+
+class _Passes:
+    """Pass after pass over frames, each in an order of its own, `count` of them a step."""
+
+    def __init__(self, frames: np.ndarray, count: int, seed: tuple[int, int]) -> None:
+        self._frames, self._count, self._seed = frames, count, seed
+        self._orders: dict[int, np.ndarray] = {}
+
+    def step(self, step: int) -> np.ndarray:
+        at = np.arange(step * self._count, (step + 1) * self._count)
+        passes, places = np.divmod(at, max(1, len(self._frames)))
+        self._orders = {number: self._order(number) for number in np.unique(passes).tolist()}
+        taken = [self._orders[number][place] for number, place in zip(passes.tolist(), places, strict=True)]
+        return np.array(taken, np.int64)
 
     def _order(self, number: int) -> np.ndarray:
-        return np.random.default_rng((self._seed, number)).permutation(self._frames)
+        known = self._orders.get(number)
+        return np.random.default_rng((*self._seed, number)).permutation(self._frames) if known is None else known

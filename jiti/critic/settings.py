@@ -18,11 +18,15 @@ class DataSettings:
     """Name of the feature extractor: `state`, `smolvla:PATH_OR_HUB_ID`, `groot:...`, `policy:...`."""
     gamma: float | None = None
     """Discount. Default: the dataset's own, 0.98 in C.4 (stated for GR00T-N1.5)."""
+    decided_share: float = 0.0
+    """Share of a batch that is taken from the frames whose chunks reach into a decided segment, the rest is from all
+    frames. 0: every frame as often as another, as the paper seems to. Decided segments are a tenth of the frames."""
     shuffle_labels: bool = False
     """Verdicts are dealt anew among the decided segments of each task: a control that must not learn to rank."""
 
     def __post_init__(self) -> None:
         _within("data.gamma", self.gamma, 0, 1)
+        _within("data.decided_share", self.decided_share, 0, 1)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import torch  # noqa: TID253  this module is imported late, by the command
 
 import jiti
 from jiti.critic.checkpoint import checkpoint_folder, checkpoints, drop_old, load, save
-from jiti.critic.chunks import BatchOrder, action_range, cut_chunks
+from jiti.critic.chunks import BatchOrder, action_range, cut_chunks, reaching_frames
 from jiti.critic.critic import Critic, Sizes, make_critic, save_critic
 from jiti.critic.dataset import ElegantData, read_elegant
 from jiti.critic.features.cache import FeatureCache, feature_cache
@@ -88,7 +88,8 @@ def train(
     if known:
         load(state, known)
 
-    order = BatchOrder(frames, settings.run.batch, settings.run.seed)
+    reaching = reaching_frames(data, frames, settings.network.chunk)
+    order = BatchOrder(frames, reaching, settings.run.batch, settings.data.decided_share, settings.run.seed)
     looking = _Looking(data, cache, checking, settings, team)
     metrics = Metrics(run, state.step) if team.leads else None
     stopped = _enough(state, settings)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jiti.critic.chunks import ActionRange, BatchOrder, action_range, cut_chunks
+from jiti.critic.chunks import ActionRange, BatchOrder, action_range, cut_chunks, reaching_frames
 from jiti.critic.dataset import read_elegant
 from tests.critic.elegant import Recorded, write_elegant
 
@@ -53,8 +53,25 @@ def test_actions_of_the_range_become_minus_one_to_one_and_constants_zero():
 
 def test_every_pass_has_every_frame_once_and_a_step_does_not_depend_on_those_before():
     frames = np.arange(100, 110)
-    order = BatchOrder(frames, 4, seed=3)
+    order = BatchOrder(frames, frames[:0], 4, 0.0, seed=3)
     steps = np.concatenate([order.step(n) for n in range(5)])
     assert sorted(steps[:10]) == sorted(steps[10:]) == frames.tolist()
     assert steps[:10].tolist() != steps[10:].tolist()
-    assert BatchOrder(frames, 4, seed=3).step(3).tolist() == steps[12:16].tolist()
+    assert BatchOrder(frames, frames[:0], 4, 0.0, seed=3).step(3).tolist() == steps[12:16].tolist()
+
+
+def test_a_share_of_each_step_reaches_into_decided_segments():
+    frames, reaching = np.arange(100, 110), np.array([103, 104, 105])
+    order = BatchOrder(frames, reaching, 4, 0.5, seed=3)
+    steps = np.array([order.step(n) for n in range(15)])
+    assert sorted(steps[:5, :2].ravel()) == frames.tolist()
+    assert sorted(steps[:3, 2:].ravel()) == sorted([*reaching] * 2)
+    assert BatchOrder(frames, reaching, 4, 0.5, seed=3).step(9).tolist() == steps[9].tolist()
+
+
+def test_frames_reach_into_a_decided_segment_of_their_own_episode(tmp_path):
+    annotated = np.zeros(6, bool)
+    annotated[[0, 4]] = True
+    episode = Recorded(np.zeros((6, 1)), np.zeros((6, 1)), annotated.astype(float), annotated)
+    data = read_elegant(write_elegant(tmp_path / "d", [episode, episode], gamma=0.5))
+    assert reaching_frames(data, np.arange(12), 3).tolist() == [0, 2, 3, 4, 6, 8, 9, 10]
