@@ -95,22 +95,32 @@ def conservative_term_public(
     return (torch.logsumexp(values, -1) - q_data).mean(1).sum(), active
 
 
-def critic_loss(bellman: Tensor, conservative: Tensor, alpha: float | Tensor, *, gap: float = 0.0) -> Tensor:
-    """L = L_Bellman + alpha * (R_cal - gap). With a fixed alpha (5.0, supplement C.4) the gap has no effect.
+def critic_loss(
+    bellman: Tensor, conservative: Tensor, alpha: float | Tensor, *, gap: float = 0.0, members: int = 1
+) -> Tensor:
+    """L = L_Bellman + alpha * sum_E (R_cal - gap), of terms that are sums over the members already.
 
-    With Lagrange's multiplier, alpha is weight * multiplier; no gradient reaches it from here.
+    With a fixed alpha (5.0, supplement C.4) the gap has no effect. With Lagrange's multiplier, alpha is weight *
+    multiplier; no gradient reaches it from here.
     """
     weight = alpha.detach() if isinstance(alpha, Tensor) else alpha
-    return bellman + weight * (conservative - gap)
+    return bellman + weight * (conservative - members * gap)
 
 
-def multiplier_loss(log_multiplier: Tensor, conservative: Tensor, weight: float, gap: float) -> Tensor:
-    """-multiplier * weight * (R_cal - gap): the multiplier grows while R_cal is above the target action gap.
+def clamped(log_multiplier: Tensor) -> Tensor:
+    """Lagrange's multiplier, one for all members, as it weights the conservative term and as it is learned."""
+    return log_multiplier.exp().clamp(max=MULTIPLIER_LIMIT)
 
-    The gap is 0.5 in supplement C.4, which leaves this unused. Gradients reach the multiplier only.
+
+def multiplier_loss(
+    log_multiplier: Tensor, conservative: Tensor, weight: float, gap: float, *, members: int = 1
+) -> Tensor:
+    """-multiplier * weight * mean_E (R_cal - gap): the multiplier grows while a member's R_cal is above the gap.
+
+    The term is the members' sum. The gap is 0.5 in supplement C.4, which leaves this unused; it is subtracted for each
+    member, as in the code published with Cal-QL. Gradients reach the multiplier only.
     """
-    multiplier = log_multiplier.exp().clamp(max=MULTIPLIER_LIMIT)
-    return -multiplier * weight * (conservative.detach() - gap)
+    return -clamped(log_multiplier) * weight * (conservative.detach() / members - gap)
 
 
 def actor_loss(log_density: Tensor, q_policy: Tensor, temperature: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from jiti.critic.backbone import Backbone
 from jiti.critic.cal_ql import (
     actor_loss,
     bellman_loss,
+    clamped,
     conservative_term,
     conservative_term_public,
     critic_loss,
@@ -165,8 +166,8 @@ def critic_losses(
                 volume.expand(-1, m),
                 calibrate=loss.calibrate,
             )
-    weight = loss.alpha * state.log_multiplier.exp() if loss.lagrange else loss.alpha
-    total = critic_loss(bellman, conservative, weight, gap=loss.action_gap)
+    weight = loss.alpha * clamped(state.log_multiplier) if loss.lagrange else loss.alpha
+    total = critic_loss(bellman, conservative, weight, gap=loss.action_gap, members=len(q_data))
     metrics = {
         "loss/critic": total,
         "loss/bellman": bellman,
@@ -204,9 +205,10 @@ def train_step(state: State, batch: Batch, noise: Noise, settings: Settings, tea
     entropy = -float(numbers) if loss.target_entropy is None else loss.target_entropy
     _descend(state.optimizers["temperature"], temperature_loss(state.log_temperature, log_density, entropy), team, None)
     if loss.lagrange:
-        followed = multiplier_loss(state.log_multiplier, conservative, loss.alpha, loss.action_gap)
+        members = settings.network.ensemble
+        followed = multiplier_loss(state.log_multiplier, conservative, loss.alpha, loss.action_gap, members=members)
         _descend(state.optimizers["multiplier"], followed, team, None)
-        metrics["multiplier"] = state.log_multiplier.exp()
+        metrics["multiplier"] = clamped(state.log_multiplier)
     soft_update(state.target, critic.q, loss.soft_update)
     state.step += 1
     metrics |= {"loss/actor": actor, "actor/entropy": -log_density.mean(), "actor/temperature": temperature}

@@ -7,9 +7,11 @@ import torch  # noqa: TID253  these tests are about tensors
 from torch.autograd import gradcheck  # noqa: TID253
 
 from jiti.critic.cal_ql import (
+    MULTIPLIER_LIMIT,
     actor_loss,
     bellman_loss,
     calibrated,
+    clamped,
     conservative_term,
     conservative_term_public,
     critic_loss,
@@ -116,6 +118,22 @@ def test_the_multiplier_grows_above_the_gap_and_shrinks_under_it():
         multiplier_loss(log_multiplier, torch.tensor(term), 5.0, 0.5).backward()
         assert log_multiplier.grad is not None
         assert (-log_multiplier.grad * sign).item() > 0
+
+
+def test_two_members_alike_have_the_gap_and_the_multiplier_of_one():
+    one, two = torch.tensor(0.7), torch.tensor(1.4)  # R_cal of a member, and the sum over two such members
+    log_multiplier = torch.tensor(0.3)
+    assert multiplier_loss(log_multiplier, one, 5.0, 0.5).item() == pytest.approx(-math.exp(0.3) * 5 * 0.2)
+    alike = multiplier_loss(log_multiplier, two, 5.0, 0.5, members=2)
+    torch.testing.assert_close(alike, multiplier_loss(log_multiplier, one, 5.0, 0.5))
+    bellman = torch.tensor(3.0)
+    assert critic_loss(bellman, two, 5.0, gap=0.5, members=2).item() == pytest.approx(3 + 2 * 5 * 0.2)
+
+
+def test_the_multiplier_ends_at_its_limit():
+    huge = torch.tensor(50.0, requires_grad=True)
+    assert clamped(huge).item() == MULTIPLIER_LIMIT
+    assert multiplier_loss(huge, torch.tensor(1.0), 5.0, 0.5).item() == -MULTIPLIER_LIMIT * 2.5
 
 
 def test_the_target_network_follows_by_its_share():
