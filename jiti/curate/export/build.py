@@ -29,7 +29,8 @@ from jiti.curate.export.meta import (
     write_tasks,
 )
 from jiti.curate.export.numbers import read_numbers
-from jiti.curate.export.plan import Plan, PlannedEpisode
+from jiti.curate.export.plan import Plan
+from jiti.curate.export.planned import PlannedEpisode
 from jiti.curate.export.remux import join_videos
 from jiti.curate.export.rows import data_schema, episode_columns, frame_labels, to_table
 from jiti.curate.export.shards import DATA_FILE_BYTES, VIDEO_FILE_BYTES, Joiner, Places, join_tables
@@ -67,10 +68,10 @@ def build(plan: Plan, sources: Sequence[Source], output: Output, progress: Progr
     Raises SaveFailed when the disk refuses, SourceError for what is wrong in a recording; in both cases nothing is at
     `output.root` that was not there before.
     """
-    partial = output.root.with_name(f".{output.root.name}.partial")
+    unfinished = output.root.with_name(f".{output.root.name}.partial")
     by_name = {source.name: source for source in sources}
     notes: list[str] = []
-    with _explained(partial, output.root), closing(Journal.open(partial, plan.digest)) as journal:
+    with _explained(unfinished, output.root), closing(Journal.open(unfinished, plan.digest)) as journal:
         writer = _Writer(plan, journal, output)
         for number, planned in enumerate(plan.episodes):
             progress(number / len(plan.episodes), f"{planned.source}, {planned.title}")
@@ -79,7 +80,7 @@ def build(plan: Plan, sources: Sequence[Source], output: Output, progress: Progr
             notes += done.notes
         progress(1.0, "writing tables")
         writer.finish()
-        _put(partial, journal.dataset, output)
+        _put(unfinished, journal.dataset, output)
     return notes
 
 
@@ -176,38 +177,38 @@ def _path_of(key: str) -> str:
     return VIDEO_PATH.replace("{video_key}", key)
 
 
-def _put(partial: Path, dataset: Path, output: Output) -> None:
+def _put(unfinished: Path, dataset: Path, output: Output) -> None:
     """Give the finished dataset its name, durably."""
     for folder, _, files in os.walk(dataset):
         for name in files:
             sync_file(Path(folder, name))
         sync_folder(Path(folder))
     if output.root.exists():
-        old = partial / "replaced"
+        old = unfinished / "replaced"
         output.root.rename(old)
     dataset.rename(output.root)
     sync_folder(output.root.parent)
-    shutil.rmtree(partial)
+    shutil.rmtree(unfinished)
 
 
 @contextmanager
-def _explained(partial: Path, root: Path) -> Iterator[None]:
+def _explained(unfinished: Path, root: Path) -> Iterator[None]:
     try:
         yield
     except SaveFailed as error:
-        raise _refused(partial, root, error.__cause__ if isinstance(error.__cause__, OSError) else error) from error
+        raise _refused(unfinished, root, error.__cause__ if isinstance(error.__cause__, OSError) else error) from error
     except SourceError:
         # Another input is needed, with which nothing of this could be used.
-        shutil.rmtree(partial, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
         raise
     except OSError as error:
-        raise _refused(partial, root, error) from error
+        raise _refused(unfinished, root, error) from error
 
 
-def _refused(partial: Path, root: Path, error: BaseException) -> SaveFailed:
+def _refused(unfinished: Path, root: Path, error: BaseException) -> SaveFailed:
     number = getattr(error, "errno", None)
     reason = (os.strerror(number) if number else str(error)).lower()
     return SaveFailed(
         f"{root} could not be written: {reason}. Nothing is there that was not there before; finished episodes are "
-        f"kept in {partial}. Make room and run the same command, which goes on there, or remove that folder."
+        f"kept in {unfinished}. Make room and run the same command, which goes on there, or remove that folder."
     )

@@ -14,7 +14,8 @@ from jiti.annotate.folder import segments_path
 from jiti.annotate.segment_file import FileInfo, Recording, encode
 from jiti.annotate.segments import Segment
 from jiti.curate.export.features import DERIVED, INDEX, Shape
-from jiti.curate.export.plan import Plan, PlannedEpisode
+from jiti.curate.export.plan import Plan
+from jiti.curate.export.planned import PlannedEpisode
 from jiti.curate.export.shards import CHUNK_FILES, DATA_FILE_BYTES, VIDEO_FILE_BYTES, Place, Places
 from jiti.curate.export.stats import QUANTILES, Stats
 from jiti.episodes.lerobot_index import episode_id_of

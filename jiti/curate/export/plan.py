@@ -1,22 +1,22 @@
 """Everything about a dataset that is known before anything is written: episodes, frames, labels, splits."""
 
-import hashlib
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from jiti.annotate.names import MACHINES
-from jiti.annotate.segments import SCHEMA, Segment
+from jiti.annotate.segments import Segment
+from jiti.curate.export.agree import check_shapes, common_rate
 from jiti.curate.export.automatic import map_automatically
+from jiti.curate.export.digest import digest_of
 from jiti.curate.export.features import Feature, Shape, shapes
 from jiti.curate.export.filter import Filter
 from jiti.curate.export.frames import Frames, frames_of, moved, whole_rate
 from jiti.curate.export.outcome import recorded_success
+from jiti.curate.export.planned import Opened, PlannedEpisode, segments_table
 from jiti.curate.export.sources import Source
 from jiti.curate.export.split import split_episodes
 from jiti.curate.returns import mc_returns
@@ -33,55 +33,6 @@ GAP_PERIODS = 1.5
 """A picture that comes later than this after the one before it is late. Our choice: one frame was lost."""
 NO_INSTRUCTION = "no instruction recorded"
 """LeRobot wants a text for every episode."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedEpisode:
-    """One episode of the dataset."""
-
-    source: str
-    episode_id: str
-    """In its source."""
-    title: str
-    fingerprint: str
-    instruction: str
-    task_id: str | None
-    """None for a task that no catalogue has."""
-    success: bool | None
-    frames: int
-    segments: tuple[tuple[str, Segment], ...]
-    """Annotator and segment: those that count, on the dataset's frames."""
-    reward: int | None
-    first_return: float
-    peak_return: float
-    annotated: float
-    verdicts: Mapping[str, int]
-    """By ITC: 0 where any frame is violated."""
-    features: tuple[Feature, ...]
-    split: str = "train"
-    index: int = -1
-    first_frame: int = 0
-    """In the whole dataset."""
-
-    def values(self, fps: int) -> dict[str, Any]:
-        """What a filter asks for; see `filter.NAMES`."""
-        return {
-            "episode": self.episode_id,
-            "source": self.source,
-            "task": self.task_id,
-            "instruction": self.instruction,
-            "frames": self.frames,
-            "seconds": self.frames / fps,
-            "segments": len(self.segments),
-            "annotators": ",".join(sorted({annotator for annotator, _ in self.segments})),
-            "annotated": self.annotated,
-            "reward": self.reward,
-            "return": self.first_return,
-            "peak_return": self.peak_return,
-            "success": self.success,
-            "split": self.split,
-            "itc": self.verdicts,
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +79,7 @@ class Plan:
 def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = lambda _s, _w: None) -> Plan:
     """Open every episode that has labels, once. Raises JitiError for what does not fit together, before any output."""
     notes: list[str] = []
-    found: list[tuple[PlannedEpisode, dict[str, Shape], float]] = []
-    known_tasks: dict[str, Task] = {}
+    found: list[Opened] = []
     unlabelled = 0
     total = sum(len(source.reader.episodes()) for source in sources)
     done = 0
@@ -146,23 +96,12 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
             if episode is None:
                 continue
             notes += _doubts(f"{source.name}, {ref.title}", episode, choice)
-            task = source.catalogue.for_episode(episode)
-            planned, shape = _plan_episode(source, ref, episode, task, rows, choice)
-            if planned.task_id:
-                known_tasks[planned.task_id] = task
-            found.append((planned, shape, episode.clock.rate_hz))
-        if not any(planned.source == source.name for planned, _, _ in found):
+            found.append(_plan_episode(source, ref, episode, rows, choice))
+        if not any(opened.planned.source == source.name for opened in found):
             raise _no_labels(source, choice)
-    fps = choice.fps or _common_rate(found)
-    _check_shapes(found)
-    return _finished(found, fps, choice, known_tasks, unlabelled, notes)
-
-
-def segments_table(rows: Sequence[tuple[str, Segment]]) -> pa.Table:
-    """What `read_segments` would give for these rows."""
-    columns = [pa.array([getattr(segment, field.name) for _, segment in rows], field.type) for field in SCHEMA]
-    annotators = pa.array([annotator for annotator, _ in rows], pa.string())
-    return pa.Table.from_arrays([*columns, annotators], names=[*SCHEMA.names, "annotator"])
+    fps = choice.fps or common_rate(found)
+    check_shapes(found)
+    return _finished(found, fps, choice, unlabelled, notes)
 
 
 def _check_labels(source: Source) -> None:
@@ -215,11 +154,11 @@ def _plan_episode(
     source: Source,
     ref: EpisodeRef,
     episode: Episode,
-    task: Task,
     rows: Sequence[tuple[str, Segment]],
     choice: Choice,
-) -> tuple[PlannedEpisode, dict[str, Shape]]:
+) -> Opened:
     title = f"{source.name}, {ref.title}"
+    task = source.catalogue.for_episode(episode)
     features = choice.features or map_automatically(episode, title)
     last = episode.clock.frame_count - 1
     if outside := [segment for _, segment in rows if segment.end_frame > last]:
@@ -248,7 +187,7 @@ def _plan_episode(
         features=features,
         **values,
     )
-    return planned, shapes(features, episode, title)
+    return Opened(planned, shapes(features, episode, title), episode.clock.rate_hz, task)
 
 
 def _judge(rows: Sequence[tuple[str, Segment]], frames: Frames, gamma: float) -> dict[str, Any]:
@@ -280,57 +219,15 @@ def _no_labels(source: Source, choice: Choice) -> LabelError:
     )
 
 
-def _common_rate(found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]]) -> int:
-    rates: dict[int, str] = {}
-    for planned, _, rate_hz in found:
-        title = f"{planned.source}, {planned.title}"
-        rates.setdefault(whole_rate(rate_hz, title), title)
-    if len(rates) > 1:
-        (one, there), (other, here) = list(rates.items())[:2]
-        raise UsageError(
-            f"the recordings have different rates: {there} runs at {one} Hz, {here} at {other} Hz. "
-            f"Pass --fps {min(rates)} to resample all of them, or curate them apart."
-        )
-    return next(iter(rates))
-
-
-def _check_shapes(found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]]) -> None:
-    """Raises SourceError where two recordings disagree on a feature."""
-    first, expected, _ = found[0]
-    remedy = "Map them alike with --features (--print-features shows a mapping to begin from), or curate them apart."
-    for planned, shape, _ in found[1:]:
-        one, other = f"{first.source}, {first.title}", f"{planned.source}, {planned.title}"
-        if lacking := [key for key in (*expected, *shape) if (key in expected) != (key in shape)]:
-            has, has_not = (one, other) if lacking[0] in expected else (other, one)
-            raise SourceError(f"{has} has {lacking[0]!r}, and {has_not} has not. {remedy}")
-        for key, there in shape.items():
-            if there.shape != expected[key].shape:
-                raise SourceError(
-                    f"{key!r} is {_size(expected[key])} in {one}, and {_size(there)} in {other}. {remedy}"
-                )
-            if there.names and expected[key].names and there.names != expected[key].names:
-                pairs = enumerate(zip(expected[key].names, there.names, strict=True))
-                place, (name, name_there) = next((k, pair) for k, pair in pairs if pair[0] != pair[1])
-                raise SourceError(
-                    f"number {place} of {key!r} is {name!r} in {one}, and {name_there!r} in {other}. {remedy}"
-                )
-
-
-def _size(shape: Shape) -> str:
-    if shape.dtype == "video":
-        return f"{shape.shape[1]}x{shape.shape[0]} pixels"
-    return f"{shape.shape[0]} numbers"
-
-
 def _finished(
-    found: Sequence[tuple[PlannedEpisode, dict[str, Shape], float]],
+    found: Sequence[Opened],
     fps: int,
     choice: Choice,
-    tasks: Mapping[str, Task],
     unlabelled: int,
     notes: list[str],
 ) -> Plan:
-    episodes = [planned for planned, _, _ in found]
+    episodes = [opened.planned for opened in found]
+    tasks = {opened.planned.task_id: opened.task for opened in found}
     known = {name for episode in episodes for name in (episode.task_id, episode.instruction)}
     if missing := [name for name in choice.unseen if name not in known]:
         there = ", ".join(sorted({e.task_id or e.instruction for e in episodes}))
@@ -348,17 +245,16 @@ def _finished(
             f"rewards are: {', '.join(f'{reward} ({count})' for reward, count in rewards.items())}."
         )
     placed = list(_placed(kept, fps))
-    shape = dict(found[0][1])
     return Plan(
         tuple(placed),
-        shape,
+        found[0].shapes,
         fps,
         choice.fps is not None,
         tuple(tasks[name] for name in dict.fromkeys(episode.task_id for episode in placed) if name),
         unlabelled,
         len(episodes) - len(kept),
         tuple(notes),
-        _digest(placed, shape, fps, choice),
+        digest_of(placed, found[0].shapes, fps, choice.gamma, choice.rule),
     )
 
 
@@ -369,15 +265,3 @@ def _placed(kept: Sequence[PlannedEpisode], fps: int) -> Iterator[PlannedEpisode
         rows = tuple((annotator, replace(segment, episode_id=name)) for annotator, segment in episode.segments)
         yield replace(episode, index=index, first_frame=first, segments=rows)
         first += episode.frames
-
-
-def _digest(episodes: Sequence[PlannedEpisode], shape: Mapping[str, Shape], fps: int, choice: Choice) -> str:
-    digest = hashlib.sha256()
-    about = {key: value.to_info() for key, value in shape.items()}
-    digest.update(json.dumps([about, fps, choice.gamma, choice.rule], sort_keys=True).encode())
-    for episode in episodes:
-        rows = [[annotator, segment.to_row()] for annotator, segment in episode.segments]
-        mapping = [[f.key, f.streams, f.components, f.camera, f.scene_state] for f in episode.features]
-        told = [episode.source, episode.episode_id, episode.fingerprint, episode.split, episode.task_id, rows, mapping]
-        digest.update(json.dumps(told, sort_keys=True).encode())
-    return digest.hexdigest()

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from jiti.curate.export.features import DERIVED, INDEX, Shape
-from jiti.curate.export.plan import PlannedEpisode, segments_table
+from jiti.curate.export.planned import PlannedEpisode, segments_table
 from jiti.curate.returns import mc_returns
 from jiti.curate.rewards import frame_rewards
 from jiti.episodes.lerobot_index import episode_id_of
