@@ -2,12 +2,28 @@
 
 import os
 from contextlib import AbstractContextManager, nullcontext
+from datetime import timedelta
 from typing import Any
 
 import torch  # noqa: TID253  imported by training only
 from torch import Tensor  # noqa: TID253
 
 from jiti.errors import UsageError
+
+PATIENCE = timedelta(days=1)
+"""How long a process waits for another. Our choice: one of them computes the features that all read then, which may
+take hours; torch itself gives up after ten minutes (NCCL) or thirty (gloo)."""
+
+
+def usable_device(wanted: str) -> torch.device:
+    """The device of `run.device`. Raises UsageError for one that there is not."""
+    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if wanted == "auto" else wanted
+    try:
+        device = torch.device(chosen)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UsageError(f"run.device {wanted} cannot be used: {str(error)[:150]}. Pass cpu or auto.") from error
+    return device
 
 
 class Team:
@@ -20,19 +36,13 @@ class Team:
     def __init__(self, device: str = "auto") -> None:
         self._accelerator: Any = None
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-            from accelerate import Accelerator
+            from accelerate import Accelerator, InitProcessGroupKwargs
 
-            self._accelerator = Accelerator(cpu=device == "cpu" or not torch.cuda.is_available())
+            on_cpu = device == "cpu" or not torch.cuda.is_available()
+            self._accelerator = Accelerator(cpu=on_cpu, kwargs_handlers=[InitProcessGroupKwargs(timeout=PATIENCE)])
             self.device: torch.device = self._accelerator.device
         else:
-            chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-            try:
-                self.device = torch.device(chosen)
-                torch.zeros(1, device=self.device)
-            except (RuntimeError, AssertionError) as error:
-                raise UsageError(
-                    f"run.device {device} cannot be used: {str(error)[:150]}. Pass cpu or auto."
-                ) from error
+            self.device = usable_device(device)
         self.size: int = self._accelerator.num_processes if self._accelerator else 1
         self.rank: int = self._accelerator.process_index if self._accelerator else 0
 

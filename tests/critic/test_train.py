@@ -143,12 +143,3 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(toy, monkeypatch):
     assert left.name == "step-00000002"
     for name, tensors in files(left).items():
         assert same(tensors, before[name])
-
-
-def test_a_batch_that_processes_cannot_share_is_refused():
-    from jiti.critic.team import Team
-
-    team = Team("cpu")
-    team.size = 3
-    with pytest.raises(UsageError, match="3 processes cannot share"):
-        team.check_batch(32)
