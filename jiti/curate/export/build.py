@@ -42,7 +42,6 @@ from jiti.durable import sync_file, sync_folder
 from jiti.episodes.episode import Episode
 from jiti.errors import SaveFailed, SourceError
 from jiti.progress import Progress
-from jiti.tasks.task import Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +97,7 @@ class _Writer:
         title = f"{planned.source}, {planned.title}"
         episode = source.reader.open(planned.episode_id)
         frames = frames_of(episode.clock, self._plan.fps if self._plan.resampled else None)
-        task: Task | None = source.catalogue.task(planned.task_id) if planned.task_id else None
-        numbers = read_numbers(planned.features, episode, frames, task, title)
+        numbers = read_numbers(planned.features, episode, frames, planned.task, title)
         task_index = self._task_index[planned.instruction]
         columns = episode_columns(planned, numbers, self._plan.fps, self._output.gamma, task_index)
         path = self._journal.piece(planned.index, "data.parquet")

@@ -153,6 +153,7 @@ def prepare(request: Request, progress: Progress = lambda _share, _what: None) -
         rule=str(rule),
         gamma=request.gamma,
         fps=request.fps,
+        codec=codec,
         keep_unlabelled=request.unlabelled == "keep",
         features=read_features(request.features) if request.features else None,
         condition=Filter(request.condition) if request.condition else None,
@@ -162,7 +163,7 @@ def prepare(request: Request, progress: Progress = lambda _share, _what: None) -
     )
     sources = open_sources(request.sources, labels=request.labels, tasks=request.tasks or None, rule=rule)
     plan = make_plan(sources, choice, progress)
-    return Prepared(request, out, sources, plan, codec, _about(request, choice, sources, plan, codec))
+    return Prepared(request, out, sources, plan, codec, _about(request, choice, sources, plan))
 
 
 def write(prepared: Prepared, progress: Progress = lambda _share, _what: None) -> Curated:
@@ -211,9 +212,7 @@ def print_features(request: Request) -> str:
     raise problem or SourceError("the sources have no episodes.")
 
 
-def _about(
-    request: Request, choice: Choice, sources: Sequence[Source], plan: Plan, codec: Codec | None
-) -> dict[str, Any]:
+def _about(request: Request, choice: Choice, sources: Sequence[Source], plan: Plan) -> dict[str, Any]:
     """For `meta/jiti/curate.json`: everything that made the dataset what it is, and no time or machine."""
     mapping = {
         feature.key: {
@@ -238,7 +237,7 @@ def _about(
             "split": list(choice.shares),
             "seed": request.seed,
             "unseen": list(request.unseen),
-            "codec": asdict(codec) if codec else None,
+            "codec": asdict(choice.codec) if choice.codec else None,
             "weights": request.weights,
         },
         "left_out": {"unlabelled": plan.unlabelled, "filtered": plan.filtered},

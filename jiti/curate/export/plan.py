@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from jiti.annotate.names import MACHINES
 from jiti.annotate.segments import Segment
 from jiti.curate.export.agree import check_shapes, common_rate
 from jiti.curate.export.automatic import map_automatically
+from jiti.curate.export.codec import Codec
 from jiti.curate.export.digest import digest_of
 from jiti.curate.export.features import Feature, Shape, shapes
 from jiti.curate.export.filter import Filter
@@ -43,6 +44,8 @@ class Choice:
     """In words, for the metadata."""
     gamma: float
     fps: int | None = None
+    codec: Codec | None = None
+    """None to copy videos where that can be, and else h264."""
     keep_unlabelled: bool = False
     features: tuple[Feature, ...] | None = None
     condition: Filter | None = None
@@ -68,7 +71,7 @@ class Plan:
     notes: tuple[str, ...]
     """What a person should know."""
     digest: str
-    """Changes when an input does: recordings, labels that count, mapping, rate, choice."""
+    """Changes when an input does: recordings, labels that count, tasks, mapping, rate, codec, this version of jiti."""
 
     @property
     def instructions(self) -> list[str]:
@@ -180,14 +183,14 @@ def _plan_episode(
         title=ref.title,
         fingerprint=episode.fingerprint,
         instruction=instruction,
-        task_id=None if task.task_id == GENERIC else task.task_id,
+        task=None if task.task_id == GENERIC else task,
         success=recorded_success(episode),
         frames=frames.count,
         segments=kept,
         features=features,
         **values,
     )
-    return Opened(planned, shapes(features, episode, title), episode.clock.rate_hz, task)
+    return Opened(planned, shapes(features, episode, title), episode.clock.rate_hz)
 
 
 def _judge(rows: Sequence[tuple[str, Segment]], frames: Frames, gamma: float) -> dict[str, Any]:
@@ -227,7 +230,6 @@ def _finished(
     notes: list[str],
 ) -> Plan:
     episodes = [opened.planned for opened in found]
-    tasks = {opened.planned.task_id: opened.task for opened in found}
     known = {name for episode in episodes for name in (episode.task_id, episode.instruction)}
     if missing := [name for name in choice.unseen if name not in known]:
         there = ", ".join(sorted({e.task_id or e.instruction for e in episodes}))
@@ -250,11 +252,11 @@ def _finished(
         found[0].shapes,
         fps,
         choice.fps is not None,
-        tuple(tasks[name] for name in dict.fromkeys(episode.task_id for episode in placed) if name),
+        tuple({task.task_id: task for episode in placed if (task := episode.task)}.values()),
         unlabelled,
         len(episodes) - len(kept),
         tuple(notes),
-        digest_of(placed, found[0].shapes, fps, choice.gamma, choice.rule),
+        digest_of(placed, found[0].shapes, [fps, choice.gamma, choice.rule, choice.codec and asdict(choice.codec)]),
     )
 
 

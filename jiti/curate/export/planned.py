@@ -21,8 +21,8 @@ class PlannedEpisode:
     title: str
     fingerprint: str
     instruction: str
-    task_id: str | None
-    """None for a task that no catalogue has."""
+    task: Task | None
+    """As its source's catalogue has it; None for one that no catalogue has."""
     success: bool | None
     frames: int
     segments: tuple[tuple[str, Segment], ...]
@@ -38,6 +38,10 @@ class PlannedEpisode:
     index: int = -1
     first_frame: int = 0
     """In the whole dataset."""
+
+    @property
+    def task_id(self) -> str | None:
+        return self.task.task_id if self.task else None
 
     def values(self, fps: int) -> dict[str, Any]:
         """What a filter asks for; see `filter.NAMES`."""
@@ -68,7 +72,6 @@ class Opened:
     shapes: Mapping[str, Shape]
     """By feature."""
     rate_hz: float
-    task: Task
 
     @property
     def title(self) -> str:
