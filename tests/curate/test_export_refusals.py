@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jiti.curate.export import build as build_module
 from jiti.curate.export.command import Request, print_features
 from jiti.curate.export.journal import Journal
 from jiti.episodes.mcap_writer import McapWriter
 from jiti.episodes.reader import open_reader
-from jiti.errors import JitiError, LabelError, SaveFailed, SourceError, UsageError
+from jiti.errors import JitiError, LabelError, SourceError, UsageError
 from tests.builders.curate import curated, mark, propose, write_picks
-from tests.builders.labels import full_disk, names_in
+from tests.builders.labels import names_in
 from tests.builders.mcap import Camera
 
 GOOD = [(5, 14, 1)]
@@ -137,21 +136,6 @@ def test_a_camera_without_pictures_at_the_start(tmp_path):
     demos = write_picks(tmp_path / "demos", [GOOD], cameras=cameras)
     said = refused(SourceError, demos, out=tmp_path / "d")
     assert "pick_0.mcap, /camera/wrist: frames 0 to 20 have no picture" in said
-
-
-def test_a_full_disk_leaves_nothing_and_the_next_run_goes_on(picks, tmp_path, monkeypatch):
-    with full_disk(20_000), pytest.raises(SaveFailed) as error:
-        curated(picks, out=tmp_path / "d")
-    assert "file too large" in str(error.value)
-    assert not (tmp_path / "d").exists()
-    assert str(tmp_path / ".d.partial") in str(error.value)
-    made = []
-    monkeypatch.setattr(
-        build_module, "read_numbers", lambda *given, real=build_module.read_numbers: made.append(1) or real(*given)
-    )
-    assert curated(picks, out=tmp_path / "d").episodes == 2
-    assert len(made) <= 2
-    assert names_in(tmp_path) == ["d", "demos"]
 
 
 def test_an_existing_dataset_is_replaced_only_when_asked(picks, tmp_path):

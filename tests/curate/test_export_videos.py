@@ -1,9 +1,6 @@
 """Videos of curated datasets: every picture carries its own frame number, so that a test can tell which is shown."""
 
 import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import av
@@ -15,9 +12,7 @@ from jiti.curate.export import build as build_module
 from jiti.curate.export.remux import join_videos, kind_of
 from jiti.episodes.reader import open_reader
 from jiti.episodes.video import decode_frames
-from jiti.errors import SaveFailed
 from tests.builders.curate import curated, mark, write_picks
-from tests.builders.labels import full_disk
 from tests.builders.lerobot import ENCODERS, FRONT, H264_LONG_GOP, WRIST, episode_pictures, write_v3, write_video
 from tests.builders.mcap import Camera
 from tests.builders.pictures import read_number
@@ -153,40 +148,3 @@ def test_joined_videos_begin_where_those_before_end(demos, tmp_path):
     with av.open(str(tmp_path / "two.mp4")) as container:
         times = [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
     np.testing.assert_allclose(times, np.arange(60) / 30, atol=1e-9)
-
-
-def test_a_killed_run_goes_on_and_gives_the_same(demos, tmp_path):
-    curated(demos, out=tmp_path / "whole")
-    killed = (
-        "import os, signal, sys\n"
-        "from jiti.curate.export import build\n"
-        "real = build.read_numbers\n"
-        "def once(features, episode, *rest):\n"
-        "    if episode.episode_id == 'pick_2': os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    return real(features, episode, *rest)\n"
-        "build.read_numbers = once\n"
-        "from pathlib import Path\n"
-        "from jiti.curate.export.command import Request, curate\n"
-        "curate(Request(sources=(sys.argv[1],), out=Path(sys.argv[2])))\n"
-    )
-    ended = subprocess.run([sys.executable, "-c", killed, str(demos), str(tmp_path / "d")], check=False)
-    assert ended.returncode == -signal.SIGKILL
-    assert not (tmp_path / "d").exists()
-    journal = (tmp_path / ".d.partial" / "journal.jsonl").read_text().splitlines()
-    assert len(journal) == 2
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / ".d.partial" / "pieces").iterdir()}
-    assert len(before) >= 6
-    curated(demos, out=tmp_path / "d")
-    files = sorted(path.relative_to(tmp_path / "d") for path in (tmp_path / "d").rglob("*") if path.is_file())
-    for path in files:
-        if path.name != "README.md":
-            assert (tmp_path / "d" / path).read_bytes() == (tmp_path / "whole" / path).read_bytes(), path
-    assert not (tmp_path / ".d.partial").exists()
-
-
-def test_other_inputs_start_anew(demos, tmp_path):
-    with full_disk(20_000), pytest.raises(SaveFailed):
-        curated(demos, out=tmp_path / "d")
-    curated(demos, out=tmp_path / "d", gamma=0.5)
-    about = json.loads((tmp_path / "d" / "meta" / "jiti" / "curate.json").read_text())
-    assert about["gamma"] == 0.5
