@@ -5,7 +5,8 @@ dataset chunks                   D_elegant as arrays; chunks of actions and thei
 networks backbone critic         Q as an ensemble and the actor; a Hugging Face model as trunk; both as one thing
 cal_ql                           the losses, as pure functions
 settings settings_file           every constant with its source; a TOML file of them
-step checkpoint team metrics     one step; saved and gone on with; several processes; what is told
+step checkpoint resume           one step; saved; what a run may go on with
+team metrics                     several processes; what is told
 train command                    the loop, and what the command was asked
 ranking calibration q_recording evaluate   how a critic does on what it did not see
 """

@@ -4,6 +4,7 @@ A folder with `config.json` and `model.safetensors`; loadable by path or Hub id.
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,7 @@ def load_critic(source: str | Path, *, device: str = "cpu") -> Critic:
             )
         network = settings_from({"network": config["network"]}).network
         sizes = Sizes(**config["sizes"])
-        limits = ActionRange(*(np.array(config[name], np.float32) for name in ("action_low", "action_high")))
+        limits = saved_limits(config)
         described = config["backbone"]
     except OSError as error:
         raise SourceError(
@@ -134,6 +135,11 @@ def load_critic(source: str | Path, *, device: str = "cpu") -> Critic:
         fill(module, {k.removeprefix(f"{name}."): v for k, v in weights.items() if k.startswith(f"{name}.")}, folder)
         module.to(device).eval()
     return critic
+
+
+def saved_limits(config: Mapping[str, Any]) -> ActionRange:
+    """The range of actions that `config.json` names."""
+    return ActionRange(*(np.array(config[name], np.float32) for name in ("action_low", "action_high")))
 
 
 def fill(module: nn.Module, weights: dict[str, Tensor], where: Path) -> None:

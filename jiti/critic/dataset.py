@@ -58,7 +58,8 @@ class ElegantData:
     task: np.ndarray
     """(episodes,) task ids, or instructions where a task has no id."""
     episode_ids: np.ndarray
-    """(episodes,) names of the recordings that episodes come from."""
+    """(episodes,) the recording that an episode comes from: its name and its fingerprint, the same in whatever dataset
+    it is; without meta/jiti/episodes.parquet the episode's own name."""
 
     @property
     def episodes(self) -> int:
@@ -86,6 +87,10 @@ class ElegantData:
     def of_split(self, split: str) -> np.ndarray:
         """Labelled episodes of a split, (n,) int64, ascending."""
         return np.flatnonzero((self.split == split) & self.labelled)
+
+    def recordings_of(self, split: str) -> list[str]:
+        """Which recordings the labelled episodes of a split come from, in order."""
+        return [str(name) for name in self.episode_ids[self.of_split(split)]]
 
     def frames_of(self, episodes: np.ndarray) -> np.ndarray:
         """The frames of episodes, (n,) int64, ascending within each."""
@@ -272,14 +277,12 @@ def _episodes(root: Path, table: pa.Table, offsets: np.ndarray) -> dict[str, np.
     splits = ["train"] * len(numbers)
     path = root / "meta/jiti/episodes.parquet"
     if path.exists():
-        rows = {
-            row["episode_index"]: row
-            for row in _read(path, ["episode_index", "episode_id", "task_id", "split"]).to_pylist()
-        }
+        wanted = ["episode_index", "episode_id", "fingerprint", "task_id", "split"]
+        rows = {row["episode_index"]: row for row in _read(path, wanted).to_pylist()}
         if missing := [int(n) for n in numbers if n not in rows]:
             raise SourceError(f"{path} lacks episode {missing[0]}. Make the dataset again with `jiti curate`.")
         tasks = [rows[n]["task_id"] or task for n, task in zip(numbers, tasks, strict=True)]
-        names = [rows[n]["episode_id"] for n in numbers]
+        names = [f"{rows[n]['episode_id']} {rows[n]['fingerprint']}" for n in numbers]
         splits = [rows[n]["split"] for n in numbers]
         if unknown := set(splits) - set(SPLITS):
             raise SourceError(f"{path} has split {sorted(map(str, unknown))[0]!r}; there are: {', '.join(SPLITS)}.")

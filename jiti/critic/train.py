@@ -5,7 +5,6 @@ from (seed, step). So a run that was stopped goes on exactly as if it had not be
 share a batch do what one would.
 """
 
-import json
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,18 +14,19 @@ import numpy as np
 import torch  # noqa: TID253  this module is imported late, by the command
 
 import jiti
-from jiti.critic.checkpoint import checkpoint_folder, checkpoints, drop_old, load, save
+from jiti.critic.checkpoint import checkpoint_folder, drop_old, load, save
 from jiti.critic.chunks import BatchOrder, action_range, cut_chunks, reaching_frames
-from jiti.critic.critic import Critic, Sizes, make_critic, save_critic
+from jiti.critic.critic import Critic, Sizes, make_critic, save_critic, saved_limits
 from jiti.critic.dataset import ElegantData, read_elegant
 from jiti.critic.features.cache import FeatureCache, feature_cache
 from jiti.critic.metrics import Metrics
 from jiti.critic.ranking import decided_segments, rank, segment_scores, shuffled_rewards
+from jiti.critic.resume import begun_run
 from jiti.critic.settings import Settings
-from jiti.critic.settings_file import differences, settings_from, settings_to
+from jiti.critic.settings_file import settings_to
 from jiti.critic.step import Batch, State, bellman_error, draw_noise, fit_to_data, init_state, to_batch, train_step
 from jiti.critic.team import Team
-from jiti.errors import SourceError, UsageError
+from jiti.errors import SourceError
 from jiti.progress import Progress
 
 __all__ = ["Trained", "init_state", "load", "open_data", "save", "train", "train_step"]
@@ -35,8 +35,6 @@ FIT_FRAMES = 20_000
 """Frames that normalization is fitted to, at most. Our choice: means are exact to a hundredth of a deviation."""
 LOOK_FRAMES = 512
 """Validation frames whose temporal-difference error is looked at. Our choice: a second on two cores."""
-MAY_CHANGE = {"run.steps", "run.patience", "run.device", "run.log_every", "run.check_every"}
-"""Settings with which a run may go on."""
 
 
 @dataclass(frozen=True)
@@ -69,24 +67,30 @@ def train(
 ) -> Trained:
     """Train a critic, or go on where `run` stands. `data` replaces what is read from `dataset`, for other splits.
 
-    Raises SourceError for a dataset without labels, UsageError for a run that was made with other settings.
+    Raises SourceError for a dataset without labels, UsageError for a run that was made with other settings, data or
+    features.
     """
     team = Team(settings.run.device)
     team.check_batch(settings.run.batch)
-    known = _known(run, settings)
+    begun = begun_run(run, settings)
     data = open_data(data or read_elegant(dataset), settings)
     teaching, checking = data.of_split("train"), data.of_split("validation")
     _check(data, teaching)
     cache = _features(data, settings, features_dir, workers, team, progress)
 
+    about = _about(data, cache, settings)
+    if begun:
+        begun.check(about)
+
     torch.manual_seed(settings.run.seed)
     sizes = Sizes(cache.size, cache.tokens, data.action.shape[1])
-    critic = make_critic(settings.network, sizes, action_range(data, teaching), _about(data, cache, settings))
+    limits = saved_limits(begun.config) if begun else action_range(data, teaching)
+    critic = make_critic(settings.network, sizes, limits, about)
     frames = data.frames_of(teaching)
     fit_to_data(critic, cache.read(frames[:: max(1, len(frames) // FIT_FRAMES)]), data.mc_return[frames])
     state = init_state(critic, settings, team.device)
-    if known:
-        load(state, known)
+    if begun:
+        load(state, begun.folder)
 
     reaching = reaching_frames(data, frames, settings.network.chunk)
     order = BatchOrder(frames, reaching, settings.run.batch, settings.data.decided_share, settings.run.seed)
@@ -208,27 +212,6 @@ def _enough(state: State, settings: Settings) -> bool:
     return 0 < settings.run.patience <= state.looks_without_better
 
 
-def _known(run: Path, settings: Settings) -> Path | None:
-    """The newest checkpoint of a run with these settings, or None where there is none. Raises UsageError."""
-    found = checkpoints(run)
-    if not found:
-        if run.exists() and any(run.iterdir()) and not (run / "metrics").exists():
-            raise UsageError(f"--out {run} is not empty, and no run of this command. Name another folder.")
-        return None
-    try:
-        old = settings_from(json.loads((found[0] / "config.json").read_bytes())["settings"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SourceError(
-            f"{found[0]} is damaged: {error!r}. Delete it; training goes on from the one before."
-        ) from error
-    if changed := [name for name in differences(old, settings) if name not in MAY_CHANGE]:
-        raise UsageError(
-            f"--out {run} holds a run with another {', '.join(changed)}. Name another folder, or pass the same "
-            "settings to go on with it."
-        )
-    return found[0]
-
-
 def _about(data: ElegantData, cache: FeatureCache, settings: Settings) -> dict[str, Any]:
     return {
         "settings": settings_to(settings),
@@ -238,6 +221,7 @@ def _about(data: ElegantData, cache: FeatureCache, settings: Settings) -> dict[s
             "fingerprint": data.fingerprint,
             "gamma": data.gamma,
             "fps": data.fps,
+            "train": data.recordings_of("train"),
         },
         "jiti": jiti.__version__,
         "git": git_revision(),

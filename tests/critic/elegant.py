@@ -1,5 +1,6 @@
 """A small D_elegant, written column by column as `jiti curate` and lerobot do."""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -74,6 +75,7 @@ def write_elegant(
         {
             "episode_index": pa.array(range(len(episodes)), pa.int64()),
             "episode_id": [f"recorded_{n}" for n in range(len(episodes))],
+            "fingerprint": [hashlib.sha256(e.action.tobytes()).hexdigest()[:16] for e in episodes],
             "task_id": [e.task for e in episodes],
             "split": [e.split for e in episodes],
             "frames": pa.array(lengths, pa.int64()),

@@ -302,6 +302,7 @@ def elegant_with_pictures(root):
     columns = {
         "episode_index": pa.array(range(6), pa.int64()),
         "episode_id": [f"recorded_{n}" for n in range(6)],
+        "fingerprint": [f"{n:016x}" for n in range(6)],
         "task_id": ["elegant/T2"] * 6,
         "split": ["train"] * 4 + ["validation"] * 2,
         "frames": pa.array([length] * 6, pa.int64()),

@@ -3,8 +3,11 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch  # noqa: TID253  these tests are about tensors
 from safetensors.torch import load_file
@@ -12,6 +15,7 @@ from safetensors.torch import load_file
 from jiti.critic.checkpoint import checkpoints
 from jiti.critic.critic import load_critic
 from jiti.critic.dataset import read_elegant
+from jiti.critic.features import open_extractor
 from jiti.critic.metrics import read_metrics
 from jiti.critic.settings import Settings
 from jiti.critic.settings_file import settings_from
@@ -106,6 +110,57 @@ def test_a_run_goes_on_only_with_its_own_settings(toy):
     (toy.parent / "mine/notes.txt").write_text("keep")
     with pytest.raises(UsageError, match="is not empty"):
         run(toy, "mine", small(2))
+
+
+def change_rewards(toy: Path) -> Path:
+    path = toy / "data/chunk-000/file-000.parquet"
+    table = pq.read_table(path)
+    other = pa.array(1 - table["next.reward"].to_numpy())
+    pq.write_table(table.set_column(table.column_names.index("next.reward"), "next.reward", other), path)
+    return toy
+
+
+def other_weights(*arguments, **options):
+    made: Any = open_extractor(*arguments, **options)
+    made.fingerprint = "ab" * 32
+    return made
+
+
+def test_a_run_goes_on_only_with_its_own_data_and_features(toy, monkeypatch):
+    data = read_elegant(toy)
+    run(toy, "run", small(2))
+    with pytest.raises(UsageError, match="another choice of training episodes"):
+        run(toy, "run", small(4), data=data.with_splits(np.roll(data.split, 12)))
+    (toy / "meta/jiti/curate.json").write_text(json.dumps({"gamma": 0.5}))
+    with pytest.raises(UsageError, match="holds a run with another discount"):
+        run(toy, "run", small(4))
+    (toy / "meta/jiti/curate.json").write_text(json.dumps({"gamma": 0.98}))
+    with monkeypatch.context() as changed:
+        changed.setattr("jiti.critic.features.cache.open_extractor", other_weights)
+        with pytest.raises(UsageError, match="another features"):
+            run(toy, "run", small(4))
+    assert run(toy, "run", small(4)).step == 4
+    with pytest.raises(UsageError, match=r"another dataset \(its frames, labels or videos\)\. Name another folder"):
+        run(change_rewards(toy), "run", small(6))
+
+
+def test_a_run_that_goes_on_keeps_its_range_of_actions(toy):
+    run(toy, "run", small(2))
+    path = checkpoints(toy.parent / "run")[0] / "config.json"
+    config = json.loads(path.read_text())
+    config["action_low"][0] = -7.0
+    path.write_text(json.dumps(config))
+    run(toy, "run", small(4))
+    assert load_critic(checkpoints(toy.parent / "run")[0]).limits.low[0] == -7
+
+
+def test_a_run_of_before_goes_on_without_what_it_does_not_say(toy):
+    run(toy, "run", small(2))
+    path = checkpoints(toy.parent / "run")[0] / "config.json"
+    config = json.loads(path.read_text())
+    del config["dataset"]["train"]
+    path.write_text(json.dumps(config))
+    assert run(toy, "run", small(4)).step == 4
 
 
 def test_a_checkpoint_of_other_sizes_is_refused(toy):
