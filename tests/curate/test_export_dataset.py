@@ -172,6 +172,24 @@ def test_annotators_are_reconciled_by_the_rule(tmp_path):
         assert read_labels(labels).segments["status"].unique().to_pylist() == ["accepted"]
 
 
+def test_what_one_annotator_said_counts_also_where_it_was_settled(tmp_path):
+    demos = write_picks(tmp_path / "demos", [None])
+    (said,) = mark(demos, "pick_0", [(5, 14, 1)], annotator="ann")
+    mark(demos, "pick_0", [(5, 14, 0)], annotator="ben")
+    settled = segment(7, 16, 0, episode_id="pick_0", itc_id=ITC, parent_id=said.segment_id)
+    put(demos, "pick_0", [settled], annotator="adjudicated")
+
+    def counted(rule: str) -> list[tuple[str, int, int]]:
+        curated(demos, out=tmp_path / rule, rule=rule)
+        kept = read_labels(tmp_path / rule / "meta" / "jiti").segments.to_pylist()
+        return [(row["annotator"], row["start_frame"], row["reward"]) for row in kept]
+
+    assert counted("ann") == [("ann", 5, 1)]
+    assert rows(tmp_path / "ann")["next.reward"].sum() == 10
+    assert counted("adjudicated") == [("adjudicated", 7, 0)]
+    assert counted("majority") == [("adjudicated", 7, 0), ("ben", 5, 0)]
+
+
 def test_resampling_moves_segments_with_time(tmp_path):
     demos = write_picks(tmp_path / "demos", [[(6, 14, 1), (21, 21, 0)]])
     curated(demos, out=tmp_path / "d", fps=10)

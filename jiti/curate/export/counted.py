@@ -70,14 +70,16 @@ def counts(table: pa.Table, rule: Rule) -> np.ndarray:
     annotator, status = table["annotator"].to_numpy(), table["status"].to_numpy()
     decided = table["reward"].fill_null(-1).to_numpy() >= 0
     accepted = status == "accepted"
-    if rule.name != MAJORITY:
+    if rule.name == MAJORITY:
+        accepted &= ~replaced(table)
+    else:  # what one annotator said stays theirs, also where the agreement view settled otherwise
         accepted &= annotator == rule.name
     people = ~np.isin(annotator, MACHINES) & np.isin(status, ("accepted", "rejected"))
     settled = {name for name in table["parent_id"].filter(pa.array(people)).to_pylist() if name is not None}
     proposed = np.isin(annotator, rule.accept) & (status == "proposed")
     if settled:
         proposed &= ~np.isin(table["segment_id"].to_numpy(), [*settled])
-    return (accepted | proposed) & decided & ~replaced(table)
+    return (accepted | proposed) & decided
 
 
 def _by_episode(table: pa.Table, rule: Rule) -> dict[str, list[tuple[str, Segment]]]:
