@@ -6,7 +6,8 @@ import pytest
 from jiti.curate.report import report_on
 from jiti.curate.report.facts import gather
 from jiti.errors import UsageError
-from tests.builders.curate import curated, mark, write_picks
+from tests.builders.curate import ITC, curated, mark, propose, put, write_picks
+from tests.builders.labels import segment
 
 MARKS = [[(5, 14, 1)], [(5, 14, 1), (20, 29, 0)], [(5, 14, 1)]]
 
@@ -58,6 +59,21 @@ def test_the_page_tells_the_figures(dataset):
     html = report_on(dataset).path.read_text()
     for told in ("67%", "elegant: 2 of 3 judged", "80% (4 / 1)", "ann, ben", "discount 0.5"):
         assert told in html, told
+
+
+def test_what_was_annotated_since_and_does_not_count_is_left_out(dataset):
+    before = gather(dataset)
+    undecided = segment(2, 4, None, episode_id="episode_000000", itc_id=ITC)
+    refused = segment(18, 19, 0, episode_id="episode_000000", itc_id=ITC, status="rejected")
+    put(dataset, "episode_000000", [undecided, refused], annotator="cat")
+    propose(dataset, "episode_000001", [(1, 3, 0)])
+    facts = gather(dataset)
+    assert facts.verdicts == before.verdicts
+    assert facts.lengths == before.lengths
+    assert [(one.a, one.b) for one in facts.agreements] == [("ann", "ben")]
+    mark(dataset, "episode_000001", [(31, 33, 0)], annotator="dora")
+    assert gather(dataset).lengths == {1: before.lengths[1], 0: [*before.lengths[0], 3]}
+    assert report_on(dataset).path.is_file()
 
 
 def test_suspects_are_listed(tmp_path):

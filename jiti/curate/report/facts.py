@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jiti.annotate.agreement import ALL_ITCS, Agreement, compare
@@ -88,14 +90,15 @@ def gather(dataset: Path) -> Facts:
         rows.add(path)
     episodes = tuple(rows.episode(row) for row in told)
     labels = read_labels(dataset / "meta" / "jiti")
+    counted = _counted(labels.segments)
     return Facts(
         name=dataset.absolute().name,
         about=about,
         fps=int(info.fps),
         episodes=episodes,
-        verdicts=_verdicts(labels),
-        lengths=_lengths(labels),
-        agreements=tuple(_agreements(labels)),
+        verdicts=_verdicts(counted),
+        lengths=_lengths(counted),
+        agreements=tuple(_agreements(counted, labels)),
         state_name=state_name,
         state=rows.state,
         state_episode=rows.state_episode,
@@ -160,26 +163,31 @@ class _Rows:
         )
 
 
-def _verdicts(labels: Labels) -> dict[str, Counter[int]]:
+def _counted(segments: pa.Table) -> pa.Table:
+    """Accepted segments with a verdict; the dataset may have been annotated since it was made."""
+    return segments.filter((pc.field("status") == "accepted") & pc.field("reward").is_valid())
+
+
+def _verdicts(counted: pa.Table) -> dict[str, Counter[int]]:
     found: dict[str, Counter[int]] = {}
-    for itc, reward in zip(*(labels.segments[c].to_pylist() for c in ("itc_id", "reward")), strict=True):
+    for itc, reward in zip(*(counted[c].to_pylist() for c in ("itc_id", "reward")), strict=True):
         found.setdefault(itc, Counter())[reward] += 1
     return dict(sorted(found.items()))
 
 
-def _lengths(labels: Labels) -> dict[int, list[int]]:
+def _lengths(counted: pa.Table) -> dict[int, list[int]]:
     found: dict[int, list[int]] = {1: [], 0: []}
-    columns = (labels.segments[c].to_pylist() for c in ("start_frame", "end_frame", "reward"))
+    columns = (counted[c].to_pylist() for c in ("start_frame", "end_frame", "reward"))
     for start, end, reward in zip(*columns, strict=True):
         found[reward].append(end - start + 1)
     return found
 
 
-def _agreements(labels: Labels) -> Iterator[Agreement]:
+def _agreements(counted: pa.Table, labels: Labels) -> Iterator[Agreement]:
     """Of every two annotators that have an episode in common."""
     counts = {name: about.frame_count for name, about in labels.by_episode().items()}
-    for a, b in combinations(sorted(set(labels.segments["annotator"].to_pylist())), 2):
-        found = compare(labels.segments, counts, a, b)
+    for a, b in combinations(sorted(set(counted["annotator"].to_pylist())), 2):
+        found = compare(counted, counts, a, b)
         if found.episodes and any(itc.itc_id == ALL_ITCS for itc in found.itcs):
             yield found
 
