@@ -403,7 +403,9 @@ def curate(
         VideoCodec | None,
         typer.Option("--codec", help="Encode videos with it. Default: copy LeRobot's videos, h264 for the rest."),
     ] = None,
-    crf: Annotated[int | None, typer.Option("--crf", min=0, max=63, help="Quality of videos: lower is better.")] = None,
+    crf: Annotated[
+        int | None, typer.Option("--crf", min=0, help="Quality of videos, 0 (best) to 51, or to 63 with av1.")
+    ] = None,
     weights: Annotated[
         bool, typer.Option("--weights", help="Write weights of frames too, as lerobot-train takes them (RA-BC).")
     ] = False,

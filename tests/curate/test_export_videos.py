@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jiti.curate.export import build as build_module
+from jiti.curate.export.codec import WORST
 from jiti.curate.export.remux import join_videos, kind_of
 from jiti.episodes.reader import open_reader
 from jiti.episodes.video import decode_frames
@@ -63,6 +64,12 @@ def test_resampled_frames_show_the_picture_of_their_time(demos, tmp_path):
     assert shown(tmp_path / "d", "episode_000001", WRIST) == [100 + k // 2 for k in range(0, 36, 3)]
     curated(demos, out=tmp_path / "e", fps=60, condition="episode == 'pick_0'")
     assert shown(tmp_path / "e", "episode_000000") == [k // 2 for k in range(59)]
+
+
+@pytest.mark.parametrize("codec", ["h264", "hevc", "av1"])
+def test_the_encoders_take_the_largest_crf(tmp_path, codec):
+    one = write_picks(tmp_path / "demos", [GOOD], cameras={"/camera/front": Camera(width=64, height=64)})
+    assert curated(one, out=tmp_path / "d", codec=codec, crf=WORST[codec]).frames == 30
 
 
 @pytest.mark.parametrize("codec", ["hevc", "av1"])

@@ -14,6 +14,8 @@ KEY_FRAME_PERIOD = 2
 """Frames from one key frame to the next: lerobot's default, so that a random frame needs two to be decoded."""
 QUALITY = {"h264": 23, "hevc": 28, "av1": 30}
 """Constant rate factor. x264's and x265's own defaults; lerobot's for AV1. Lower is better and larger."""
+WORST = {"h264": 51, "hevc": 51, "av1": 63}
+"""The largest constant rate factor that each encoder takes with 8 bits a colour: x264's, x265's, SVT-AV1's."""
 PRESETS = {"h264": "superfast", "hevc": "ultrafast", "av1": "12"}
 """Speed. Our choice, measured (benchmarks/curate.py); lerobot's for AV1."""
 THREADS = 2
@@ -31,8 +33,8 @@ class Codec:
     def __post_init__(self) -> None:
         if self.name not in ENCODERS:
             raise UsageError(f"--codec {self.name} is not one of {', '.join(ENCODERS)}.")
-        if self.quality is not None and not 0 <= self.quality <= 63:
-            raise UsageError(f"--crf {self.quality} is not in 0 to 63.")
+        if self.quality is not None and not 0 <= self.quality <= WORST[self.name]:
+            raise UsageError(f"--crf {self.quality} is not in 0 to {WORST[self.name]}, which {self.name} takes.")
 
     @property
     def encoder(self) -> str:
