@@ -3,13 +3,13 @@
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from jiti.critic.settings import Settings
 from jiti.errors import UsageError
+from jiti.nearest import nearest
 from jiti.tasks.toml_lines import line_numbers, line_of
 
 
@@ -35,13 +35,13 @@ def settings_from(content: Mapping[str, Any], where: Any = lambda _keys: "") -> 
     for section, table in content.items():
         if section not in sections or not isinstance(table, Mapping):
             at = where((section,))
-            raise UsageError(f"{at}there is no section [{section}]; {_nearest(section, sections)}")
+            raise UsageError(f"{at}there is no section [{section}]; {nearest(section, sections)}.")
         old = getattr(made, section)
         hints = get_type_hints(type(old))
         for key, value in table.items():
             at = where((section, key))
             if key not in hints:
-                raise UsageError(f"{at}[{section}] has no key {key!r}; {_nearest(key, list(hints))}")
+                raise UsageError(f"{at}[{section}] has no key {key!r}; {nearest(key, hints)}.")
             if not _fits(value, hints[key]):
                 raise UsageError(f"{at}{section}.{key} is {value!r}; it must be {_wanted(hints[key])}.")
         try:
@@ -67,11 +67,6 @@ def differences(old: Settings, new: Settings) -> list[str]:
         for key in fields(getattr(old, part.name))
         if getattr(getattr(old, part.name), key.name) != getattr(getattr(new, part.name), key.name)
     ]
-
-
-def _nearest(name: str, known: list[str]) -> str:
-    close = get_close_matches(name.lower(), known, 1)
-    return f"{f'did you mean {close[0]!r}? ' if close else ''}There are: {', '.join(known)}."
 
 
 def _fits(value: Any, hint: Any) -> bool:

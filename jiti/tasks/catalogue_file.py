@@ -14,11 +14,11 @@ check = "Look at the table around the glass after the pour."
 import re
 import tomllib
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from jiti.errors import CatalogueError
+from jiti.nearest import nearest
 from jiti.tasks.goal import parse_goal
 from jiti.tasks.task import ITC, Criterion, Task
 from jiti.tasks.toml_lines import KeyPath, line_numbers, line_of
@@ -121,10 +121,7 @@ class _Reader:
             return None
         name = table["criterion"]
         if name not in list(Criterion):
-            known = ", ".join(Criterion)
-            self._say(
-                (*at, "criterion"), f"there is no criterion {name!r}; {_nearest(name, [*Criterion])}one of: {known}"
-            )
+            self._say((*at, "criterion"), f"there is no criterion {name!r}; {nearest(name, Criterion)}")
             return None
         goal = table.get("goal", "")
         try:
@@ -142,7 +139,7 @@ class _Reader:
             return False
         for key, value in table.items():
             if key not in keys:
-                self._say((*at, key), f"{what} has no key {key!r}; {_nearest(key, keys)}one of: {', '.join(keys)}")
+                self._say((*at, key), f"{what} has no key {key!r}; {nearest(key, keys)}")
             elif wrong := _wrong_kind(value, keys[key][0]):
                 self._say((*at, key), f"{key} is {_shown(value)}; {wrong}")
         for key, (_, needed) in keys.items():
@@ -190,11 +187,6 @@ def _syntax_error(message: str, text: str) -> str:
         return f"line {found[1]}: {what[:1].lower()}{what[1:]} in column {found[2]}; this is not valid TOML"
     last = text.count("\n") + (not text.endswith("\n"))
     return f"line {last}: {(what or message)[:1].lower()}{(what or message)[1:]} at the end; this is not valid TOML"
-
-
-def _nearest(name: object, known: Any) -> str:
-    close = get_close_matches(str(name).lower(), list(known), 1)
-    return f"did you mean {str(close[0])!r}? It takes " if close else "it takes "
 
 
 def _wrong_kind(value: Any, kind: str) -> str:

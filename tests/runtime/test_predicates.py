@@ -208,7 +208,7 @@ def test_liberos_predicates_are_watched_as_they_are(scenes):
 @pytest.mark.parametrize(
     ("atom", "said"),
     [
-        (Atom("IsGraspin", ("plate_1",)), "there is no predicate 'IsGraspin'; did you mean IsGrasping"),
+        (Atom("IsGraspin", ("plate_1",)), "there is no predicate 'IsGraspin'; did you mean 'IsGrasping'"),
         (Atom("IsGrasping", ("plate_1", "bowl")), "IsGrasping takes 1 things and got 2"),
         (Atom("IsGrasping", ("cup_1",)), "this scene has no 'cup_1'"),
         (Atom("On", ("cup_1", "plate_1")), "this scene has no 'cup_1'"),

@@ -56,7 +56,7 @@ def test_a_good_file_gives_tasks_with_their_lines(tmp_path: Path) -> None:
             'instructon = "pour',
             [
                 "line 1: a task has no instruction; add `instruction = ...`",
-                "line 3: a task has no key 'instructon'; did you mean 'instruction'? It takes one of: "
+                "line 3: a task has no key 'instructon'; did you mean 'instruction'? There are: "
                 "id, instruction, itc, aliases, source, bddl, replace",
             ],
         ),
@@ -64,8 +64,8 @@ def test_a_good_file_gives_tasks_with_their_lines(tmp_path: Path) -> None:
             'criterion = "task_sequence_integrity"',
             'criterion = "sequence_integrity"',
             [
-                "line 8: there is no criterion 'sequence_integrity'; did you mean 'task_sequence_integrity'? It takes "
-                "one of: task_sequence_integrity, target_pose_accuracy, pose_alignment, collision_free_execution"
+                "line 8: there is no criterion 'sequence_integrity'; did you mean 'task_sequence_integrity'? There "
+                "are: task_sequence_integrity, target_pose_accuracy, pose_alignment, collision_free_execution"
             ],
         ),
         (
@@ -73,7 +73,7 @@ def test_a_good_file_gives_tasks_with_their_lines(tmp_path: Path) -> None:
             'statment = "No water',
             [
                 "line 6: an ITC has no statement; add `statement = ...`",
-                "line 9: an ITC has no key 'statment'; did you mean 'statement'? It takes one of: "
+                "line 9: an ITC has no key 'statment'; did you mean 'statement'? There are: "
                 "id, criterion, statement, check, goal",
             ],
         ),
@@ -114,7 +114,7 @@ def test_each_mistake_names_its_line(tmp_path: Path, old: str, new: str, expecte
     if expected is None:
         assert found == [
             "line 1: a task has no itc; add [[task.itc]]",
-            "line 6: a task has no key 'itcs'; did you mean 'itc'? It takes one of: "
+            "line 6: a task has no key 'itcs'; did you mean 'itc'? There are: "
             "id, instruction, itc, aliases, source, bddl, replace",
         ]
     else:

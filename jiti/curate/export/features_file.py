@@ -11,12 +11,12 @@ camera = "/camera/front"
 import json
 import tomllib
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from jiti.curate.export.features import Feature
 from jiti.errors import UsageError
+from jiti.nearest import nearest
 from jiti.tasks.toml_lines import KeyPath, line_numbers, line_of
 
 _KEYS = {"streams": list, "components": list, "camera": str, "scene_state": bool}
@@ -48,9 +48,7 @@ def read_features(path: Path) -> tuple[Feature, ...]:
             raise wrong(at, f"{key!r} is {table!r}; it must be a table with streams, camera or scene_state.")
         for name, value in table.items():
             if name not in _KEYS:
-                close = get_close_matches(name, _KEYS, 1)
-                hint = f"did you mean {close[0]!r}? " if close else ""
-                raise wrong((*at, name), f"a feature has no key {name!r}; {hint}It takes: {', '.join(_KEYS)}.")
+                raise wrong((*at, name), f"a feature has no key {name!r}; {nearest(name, _KEYS)}.")
             if not _fits(value, _KEYS[name]):
                 kind = {list: "a list of texts", str: "a text", bool: "true or false"}[_KEYS[name]]
                 raise wrong((*at, name), f"{name} is {value!r}; it must be {kind}.")

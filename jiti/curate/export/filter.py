@@ -6,10 +6,10 @@ Nothing is evaluated but comparisons, `and`, `or`, `not`, `in`, numbers, texts, 
 import ast
 import operator
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from typing import Any
 
 from jiti.errors import UsageError
+from jiti.nearest import nearest
 
 Values = Mapping[str, Any]
 """Values of one episode by name; None for what is not known, and `itc` a mapping of verdicts by id."""
@@ -84,9 +84,7 @@ class Filter:
                 if _plain(name) == "itc":
                     raise self._wrong(node, "itc takes an id: itc['elegant/T2/centered']")
                 if _plain(name) not in NAMES:
-                    close = get_close_matches(_plain(name), NAMES, 1)
-                    hint = f"did you mean {close[0]!r}? " if close else ""
-                    raise self._wrong(node, f"there is no {_plain(name)!r}; {hint}there are: {', '.join(NAMES)}")
+                    raise self._wrong(node, f"there is no {_plain(name)!r}; {nearest(_plain(name), NAMES)}")
             case ast.Subscript(value=ast.Name(id="itc"), slice=ast.Constant(value=str())):
                 pass
             case _:

@@ -5,12 +5,12 @@ remember it in `begin`. LIBERO's own predicates (`In`, `On`, `Close`, ...) are u
 """
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from jiti.errors import UsageError
+from jiti.nearest import nearest
 from jiti.runtime.sim.scene import Scene
 from jiti.runtime.sim.world import LEFT, RIGHT
 from jiti.tasks.goal import Atom
@@ -230,7 +230,5 @@ def bind(scene: Scene, atom: Atom) -> Predicate:
         return PREDICATES[atom.predicate](scene, atom.arguments, atom.tolerance)
     if atom.predicate in LIBEROS:
         return LiberoPredicate(scene, atom)
-    known = [*PREDICATES, *LIBEROS]
-    close = get_close_matches(atom.predicate, known, 1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise UsageError(f"there is no predicate {atom.predicate!r}; {hint}There are: {', '.join(known)}")
+    known = nearest(atom.predicate, [*PREDICATES, *LIBEROS])
+    raise UsageError(f"there is no predicate {atom.predicate!r}; {known}.")
