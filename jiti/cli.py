@@ -542,7 +542,7 @@ def train_critic(
     evaluate: Annotated[
         Path | None, typer.Option("--evaluate", metavar="RUN", help="Say how well the critic of a run does.")
     ] = None,
-    split: Annotated[str, typer.Option("--split", help="Episodes for --evaluate.")] = "test",
+    split: Annotated[str | None, typer.Option("--split", help="Episodes for --evaluate. Default: test.")] = None,
     episodes: Annotated[
         list[int] | None, typer.Option("--episode", help="With --evaluate: one to show in Rerun; may be repeated.")
     ] = None,

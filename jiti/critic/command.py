@@ -23,7 +23,8 @@ class Request:
     workers: int
     cache: Path | None
     evaluate: Path | None
-    split: str
+    split: str | None
+    """None: test."""
     episodes: tuple[int, ...]
 
 
@@ -49,8 +50,9 @@ def train_request(request: Request, progress: Progress) -> Done:
         )
     if request.out is None:
         raise UsageError(f"--out RUN is missing: jiti train-critic {request.dataset} --out run")
-    if request.episodes:
-        raise UsageError("--episode is of --evaluate RUN.")
+    for name, given in (("episode", request.episodes), ("split", request.split)):
+        if given:
+            raise UsageError(f"--{name} is of --evaluate RUN.")
     settings = read_settings(request.config)
     if request.features is not None:
         settings = replace(settings, data=replace(settings.data, features=request.features))
@@ -81,9 +83,10 @@ def evaluate_request(request: Request, progress: Progress) -> Done:
     found = evaluate(
         request.evaluate,
         request.dataset,
-        split=request.split,
+        split=request.split or "test",
         episodes=request.episodes,
         features_dir=request.cache,
+        workers=request.workers,
         progress=progress,
     )
     return Done(str(found), to_json(found))

@@ -33,6 +33,7 @@ from jiti.critic.ranking import (
 )
 from jiti.critic.settings import Settings
 from jiti.critic.settings_file import settings_from
+from jiti.critic.team import usable_device
 from jiti.durable import make_folder, write_atomic
 from jiti.episodes.lerobot_index import episode_id_of
 from jiti.episodes.reader import open_reader
@@ -58,7 +59,8 @@ class Evaluation:
     rankings: dict[int, Ranking]
     """By frames before the segment."""
     swapped: Ranking
-    """With the chunks of another segment of the same task in place of what was done: what states alone tell."""
+    """With the chunks of another episode of the same task in place of what was done: what states alone tell. Without
+    the tasks that have one episode only."""
     calibration: Calibration
     bound_active: dict[str, float]
     """Share of frames whose mean policy value is under V^mu, by split."""
@@ -92,27 +94,32 @@ def evaluate(
     split: str = "test",
     episodes: Sequence[int] = (),
     features_dir: Path | None = None,
-    device: str = "cpu",
+    workers: int = 1,
     progress: Progress = lambda _share, _what: None,
 ) -> Evaluation:
     """Evaluate the critic of a run on a split of its dataset, or of another; `episodes` are shown in Rerun.
 
-    Labels are those of the dataset, also for a run that learned from labels dealt anew. Raises SourceError, UsageError.
+    Labels are those of the dataset, also for a run that learned from labels dealt anew; the discount is the run's. The
+    run's device is used. Raises SourceError, and UsageError where a split that should be held out was learned from.
     """
-    critic = load_critic(run, device=device)
+    critic = load_critic(run)
     settings = settings_from(critic.config["settings"])
-    data = _data(critic, settings, dataset)
+    device = _device(critic, settings)
+    data = _data(critic, dataset)
     held_out = data.of_split(split)
+    _check_held_out(critic, data, split)
     segments = decided_segments(data, held_out)
     if not segments:
         have = ", ".join(f"{name} ({len(data.of_split(name))})" for name in SPLITS)
         raise UsageError(f"--split {split} has no labelled episode in {data.root}. There are: {have}.")
-    cache = feature_cache(data, settings.data.features, folder=features_dir, device=device, progress=progress)
+    cache = feature_cache(
+        data, settings.data.features, folder=features_dir, device=device, workers=workers, progress=progress
+    )
     _check(critic, data, cache)
 
     progress(0.1, "ranking")
     rankings = {k: rank(segment_scores(critic, data, cache, segments, earlier=k), segments) for k in LEADS}
-    swapped = rank(swapped_scores(critic, data, cache, segments, settings.run.seed), segments)
+    swapped = swapped_ranking(critic, data, cache, segments, settings.run.seed)
     progress(0.4, "calibration")
     frames = data.frames_of(held_out)
     q = recorded_values(critic, data, cache, frames)
@@ -136,22 +143,36 @@ def evaluate(
     return done
 
 
-def swapped_scores(
+def swapped_ranking(
     critic: Critic, data: ElegantData, cache: FeatureCache, segments: Sequence[Decided], seed: int
-) -> np.ndarray:
-    """Scores (n,) of segments whose chunks are taken from another segment of the task, at the same place in it."""
+) -> Ranking:
+    """The ranking of segments whose chunks are taken from a segment of another episode, at the same place in it."""
+    pairs = swapped_pairs(segments, seed)
+    scores = np.zeros(len(pairs))
+    for number, (here, other) in enumerate(pairs):
+        states, acts = (frames_scored(data, segment, critic.chunk) for segment in (here, other))
+        acts = acts[np.minimum(np.arange(len(states)), len(acts) - 1)]
+        chunks = cut_chunks(data, acts, chunk=critic.chunk, offset=1, gamma=data.gamma, limits=critic.limits)
+        scores[number] = chunk_values(critic, cache, states, chunks.action, chunks.mask).min(0).mean()
+    return rank(scores, [here for here, _ in pairs])
+
+
+def swapped_pairs(segments: Sequence[Decided], seed: int) -> list[tuple[Decided, Decided]]:
+    """Each segment with one of another episode of its task; none of tasks that have one episode only."""
     generator = np.random.default_rng(seed)
-    scores = np.zeros(len(segments))
+    pairs = []
     for task in sorted({segment.task for segment in segments}):
-        own = [n for n, segment in enumerate(segments) if segment.task == task]
-        order = generator.permutation(len(own))
-        for place, other in zip(order, np.roll(order, 1), strict=True):  # one cycle: nobody keeps its own
-            states = frames_scored(data, segments[own[place]], critic.chunk)
-            acts = frames_scored(data, segments[own[other]], critic.chunk)
-            acts = acts[np.minimum(np.arange(len(states)), len(acts) - 1)]
-            chunks = cut_chunks(data, acts, chunk=critic.chunk, offset=1, gamma=data.gamma, limits=critic.limits)
-            scores[own[place]] = chunk_values(critic, cache, states, chunks.action, chunks.mask).min(0).mean()
-    return scores
+        by_episode: dict[int, list[Decided]] = {}
+        for segment in segments:
+            if segment.task == task:
+                by_episode.setdefault(segment.episode, []).append(segment)
+        order = generator.permutation(list(by_episode)).tolist()
+        if len(order) == 1:
+            continue
+        for here, other in zip(order, [order[-1], *order[:-1]], strict=True):  # one cycle: no episode keeps its own
+            theirs = by_episode[other]
+            pairs += [(segment, theirs[n % len(theirs)]) for n, segment in enumerate(by_episode[here])]
+    return pairs
 
 
 @torch.no_grad()
@@ -194,13 +215,37 @@ def show_episode(critic: Critic, data: ElegantData, cache: FeatureCache, episode
     return path
 
 
-def _data(critic: Critic, settings: Settings, dataset: Path | None) -> ElegantData:
-    root = dataset or Path(critic.config["dataset"]["path"])
+def _device(critic: Critic, settings: Settings) -> str:
+    """The run's device, to which the critic is moved; where that is not here, the one that there is."""
+    try:
+        device = usable_device(settings.run.device)
+    except UsageError:
+        device = usable_device("auto")
+    critic.q.to(device)
+    critic.actor.to(device)
+    return str(device)
+
+
+def _data(critic: Critic, dataset: Path | None) -> ElegantData:
+    trained_on = critic.config["dataset"]
+    root = dataset or Path(trained_on["path"])
     if not root.exists():
         raise UsageError(
             f"{root}, which the critic was trained on, is not there. Name it: jiti train-critic DATASET --evaluate RUN."
         )
-    return read_elegant(root).with_gamma(settings.data.gamma)
+    return read_elegant(root).with_gamma(trained_on["gamma"])
+
+
+def _check_held_out(critic: Critic, data: ElegantData, split: str) -> None:
+    """Raises UsageError for a split with episodes that the critic learned from, unless it is asked for as such."""
+    learned = set(critic.config["dataset"].get("train", ()))
+    seen = [name for name in data.recordings_of(split) if name in learned]
+    if seen and split != "train":
+        raise UsageError(
+            f"--split {split} of {data.root} has {len(seen)} episodes that the critic learned from, the first "
+            f"{seen[0].split()[0]}: it was split otherwise then. Evaluate on the dataset of that time, or train again; "
+            "--split train says how a critic does on what it learned from."
+        )
 
 
 def _check(critic: Critic, data: ElegantData, cache: FeatureCache) -> None:

@@ -3,14 +3,20 @@
 import json
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
 from jiti.cli import app
 from jiti.critic.calibration import calibration
 from jiti.critic.dataset import read_elegant
+from jiti.critic.evaluate import evaluate, swapped_pairs
+from jiti.critic.features.cache import feature_cache
 from jiti.critic.ranking import Decided, area_under_curve, decided_segments, frames_scored, rank, shuffled_rewards
-from jiti.errors import JitiError
+from jiti.critic.settings_file import settings_from
+from jiti.critic.train import train
+from jiti.errors import JitiError, UsageError
 
 TOML = """
 [network]
@@ -100,12 +106,75 @@ def test_train_and_evaluate_from_the_command_line(toy, monkeypatch):
         CliRunner().invoke(app, [*line, "--split", "unseen"], catch_exceptions=False)
 
 
+@pytest.fixture
+def trained(toy, monkeypatch):
+    """A run of two steps with another discount than its dataset's; nothing is drawn for Rerun."""
+    settings = settings_from(
+        {
+            "data": {"gamma": 0.5},
+            "network": {"width": 16, "heads": 2, "actor_width": 16, "chunk": 4},
+            "run": {"steps": 2, "batch": 16, "device": "cpu"},
+        }
+    )
+    train(toy, toy.parent / "run", settings, features_dir=toy.parent / "features")
+    monkeypatch.setattr("jiti.critic.evaluate.show_episode", lambda *_: None)
+    return toy.parent / "run"
+
+
+def test_what_was_learned_from_is_not_taken_for_held_out(toy, trained):
+    where = {"features_dir": toy.parent / "features"}
+    assert evaluate(trained, **where).episodes == 8
+    assert evaluate(trained, split="train", **where).episodes == 12
+    path = toy / "meta/jiti/episodes.parquet"
+    table = pq.read_table(path)
+    splits = pa.array(["test"] * 2 + ["train"] * 22)
+    pq.write_table(table.set_column(table.column_names.index("split"), "split", splits), path)
+    with pytest.raises(UsageError, match="has 2 episodes that the critic learned from, the first recorded_0: "):
+        evaluate(trained, **where)
+    assert evaluate(trained, split="train", **where).episodes == 22
+
+
+def test_a_run_is_evaluated_with_its_own_discount_device_and_as_many_workers_as_asked(toy, trained, monkeypatch):
+    asked = {}
+
+    def noted(data, name, **options):
+        asked.update(options, gamma=data.gamma)
+        return feature_cache(data, name, **(options | {"workers": 1}))
+
+    monkeypatch.setattr("jiti.critic.evaluate.feature_cache", noted)
+    where = ["--cache", str(toy.parent / "features"), "--workers", "2"]
+    line = ["train-critic", "--evaluate", str(trained), *where]
+    assert CliRunner().invoke(app, line, catch_exceptions=False).exit_code == 0
+    assert (asked["gamma"], asked["device"], asked["workers"]) == (0.5, "cpu", 2)
+    path = trained / "config.json"
+    config = json.loads(path.read_text())
+    config["settings"]["run"]["device"] = "meta"
+    config["settings"]["data"] = {}
+    path.write_text(json.dumps(config))
+    with pytest.raises((NotImplementedError, RuntimeError)):  # torch computes nothing on that device
+        evaluate(trained, features_dir=toy.parent / "features")
+    assert (asked["gamma"], asked["device"]) == (0.5, "meta")
+
+
+def test_swapped_chunks_are_of_another_episode_of_the_task():
+    def segment(episode, task):
+        return Decided(episode, task, 10 * episode, 10 * episode + 5, True)
+
+    several = [segment(e, "a") for e in (0, 0, 0, 1, 2, 2)]
+    alone = [segment(7, "b"), segment(7, "b")]
+    for seed in range(20):
+        pairs = swapped_pairs([*several, *alone], seed)
+        assert sorted(here.episode for here, _ in pairs) == [0, 0, 0, 1, 2, 2]
+        assert all(here.episode != other.episode and here.task == other.task for here, other in pairs)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ([], "needs a dataset"),
         (["data"], "--out RUN is missing"),
         (["data", "--out", "run", "--episode", "1"], "--episode is of --evaluate"),
+        (["data", "--out", "run", "--split", "train"], "--split is of --evaluate"),
         (["--evaluate", "run", "--steps", "5"], "--steps is of training"),
         (["--evaluate", "run"], "is no critic"),
     ],
