@@ -25,7 +25,25 @@ def test_unseen_tasks_are_held_out_whole_and_change_no_others():
     assert both == alone + ["unseen"] * 10
 
 
-@given(st.lists(st.integers(0, 6), min_size=1, max_size=200), st.integers(0, 5))
+STRATA = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 1)), min_size=1, max_size=200)
+
+
+@given(STRATA, st.integers(1, 9), st.integers(0, 5))
+def test_a_new_task_changes_the_splits_of_no_others(strata, more, seed):
+    alone = split_episodes(strata, [False] * len(strata), DEFAULT, seed)
+    new = [(-1, 1)] * more  # sorts first
+    assert split_episodes(new + strata, [False] * (more + len(strata)), DEFAULT, seed)[more:] == alone
+
+
+def test_small_strata_do_not_all_round_the_same_way():
+    strata = [(task, verdict) for task in range(8) for verdict in (0, 1) for _ in range(5)]
+    names = split_episodes(strata, [False] * 80, DEFAULT, 0)
+    assert Counter(names) == {"train": 64, "validation": 8, "test": 8}
+    one_verdict = split_episodes([(task, 1) for task in range(40) for _ in range(5)], [False] * 200, DEFAULT, 0)
+    assert min(Counter(one_verdict).values()) >= 10
+
+
+@given(STRATA, st.integers(0, 5))
 def test_shares_are_kept_to_within_one_a_stratum(strata, seed):
     names = split_episodes(strata, [False] * len(strata), DEFAULT, seed)
     for stratum in set(strata):
