@@ -140,6 +140,11 @@ def read_elegant(root: Path) -> ElegantData:
     )
 
 
+def spread(frames: np.ndarray, most: int) -> np.ndarray:
+    """All of frames (n,), or `most` of them from the first to the last, equally far apart."""
+    return frames[np.linspace(0, len(frames) - 1, min(len(frames), most)).astype(np.int64)]
+
+
 def dataset_fingerprint(root: Path) -> str:
     """Hex digest of meta/info.json, of all data files, and of the videos' names, sizes, first and last bytes."""
     digest = hashlib.sha256((root / "meta/info.json").read_bytes())

@@ -16,7 +16,7 @@ import torch  # noqa: TID253  imported late, by the command
 from jiti.critic.calibration import Calibration, calibration, plot_calibration
 from jiti.critic.chunks import cut_chunks
 from jiti.critic.critic import Critic, load_critic
-from jiti.critic.dataset import SPLITS, ElegantData, read_elegant
+from jiti.critic.dataset import SPLITS, ElegantData, read_elegant, spread
 from jiti.critic.features.cache import FeatureCache, feature_cache
 from jiti.critic.q_recording import write_q_recording
 from jiti.critic.ranking import (
@@ -46,7 +46,7 @@ What is decided is mostly not to be seen there: ranks that stay high come from h
 SHOWN = 2
 """Episodes shown in Rerun unless some are named. Our choice: one of each verdict."""
 BOUND_FRAMES = 2048
-"""Frames whose policy chunks are valued for the share of active bounds. Our choice: seconds on two cores."""
+"""Frames whose policy chunks are valued for the share of active bounds, at most. Our choice: seconds on two cores."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def bound_active(
     critic: Critic, data: ElegantData, cache: FeatureCache, frames: np.ndarray, settings: Settings
 ) -> float:
     """The share of frames where the mean value of the actor's chunks, over members and chunks, is under V^mu."""
-    frames = frames[:: max(1, len(frames) // BOUND_FRAMES)]
+    frames = spread(frames, BOUND_FRAMES)
     generator = torch.Generator().manual_seed(settings.run.seed)
     device = critic.q.scale.device
     under = []

@@ -17,7 +17,7 @@ import jiti
 from jiti.critic.checkpoint import checkpoint_folder, drop_old, load, save
 from jiti.critic.chunks import BatchOrder, action_range, cut_chunks, reaching_frames
 from jiti.critic.critic import Critic, Sizes, make_critic, save_critic, saved_limits
-from jiti.critic.dataset import ElegantData, read_elegant
+from jiti.critic.dataset import ElegantData, read_elegant, spread
 from jiti.critic.features.cache import FeatureCache, feature_cache
 from jiti.critic.metrics import Metrics
 from jiti.critic.ranking import decided_segments, rank, segment_scores, shuffled_rewards
@@ -34,7 +34,7 @@ __all__ = ["Trained", "init_state", "load", "open_data", "save", "train", "train
 FIT_FRAMES = 20_000
 """Frames that normalization is fitted to, at most. Our choice: means are exact to a hundredth of a deviation."""
 LOOK_FRAMES = 512
-"""Validation frames whose temporal-difference error is looked at. Our choice: a second on two cores."""
+"""Validation frames whose temporal-difference error is looked at, at most. Our choice: a second on two cores."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def train(
     limits = saved_limits(begun.config) if begun else action_range(data, teaching)
     critic = make_critic(settings.network, sizes, limits, about)
     frames = data.frames_of(teaching)
-    fit_to_data(critic, cache.read(frames[:: max(1, len(frames) // FIT_FRAMES)]), data.mc_return[frames])
+    fit_to_data(critic, cache.read(spread(frames, FIT_FRAMES)), data.mc_return[frames])
     state = init_state(critic, settings, team.device)
     if begun:
         load(state, begun.folder)
@@ -139,8 +139,7 @@ class _Looking:
     ) -> None:
         self._data, self._cache, self._settings, self._team = data, cache, settings, team
         self._segments = decided_segments(data, episodes)
-        frames = data.frames_of(episodes)
-        self._frames = frames[:: max(1, len(frames) // LOOK_FRAMES)][:LOOK_FRAMES]
+        self._frames = spread(data.frames_of(episodes), LOOK_FRAMES)
 
     def look(self, state: State) -> tuple[dict[str, float], bool]:
         """What was seen, and whether the critic is the best so far, which is always so without a validation split."""

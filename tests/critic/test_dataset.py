@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jiti.critic.dataset import read_elegant, state_columns
+from jiti.critic.dataset import read_elegant, spread, state_columns
 from jiti.errors import SourceError
 
 
@@ -35,6 +35,16 @@ def test_other_rewards_have_other_returns(toy):
     other = data.with_rewards(np.ones(data.frames), 0.5)
     assert other.mc_return[data.offsets[1:] - 1].tolist() == [1.0] * data.episodes
     np.testing.assert_allclose(other.mc_return[data.offsets[1:] - 2], 1.5)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 15, 100])
+def test_frames_are_spread_over_all_of_them_and_are_no_more_than_asked(count):
+    frames = np.arange(count) + 50
+    kept = spread(frames, 8)
+    assert len(kept) == len(set(kept.tolist())) == min(count, 8)
+    if count:
+        assert (kept[0], kept[-1]) == (50, 50 + count - 1)
+        assert np.diff(kept, prepend=49).max() <= max(1, -(-count // 7))
 
 
 @pytest.mark.parametrize("missing", ["next.reward", "elegance.annotated", "elegance.mc_return"])

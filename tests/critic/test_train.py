@@ -16,6 +16,7 @@ from jiti.critic.checkpoint import checkpoints
 from jiti.critic.critic import load_critic
 from jiti.critic.dataset import read_elegant
 from jiti.critic.features import open_extractor
+from jiti.critic.features.cache import FeatureCache
 from jiti.critic.metrics import read_metrics
 from jiti.critic.settings import Settings
 from jiti.critic.settings_file import settings_from
@@ -110,6 +111,17 @@ def test_a_run_goes_on_only_with_its_own_settings(toy):
     (toy.parent / "mine/notes.txt").write_text("keep")
     with pytest.raises(UsageError, match="is not empty"):
         run(toy, "mine", small(2))
+
+
+def test_normalization_and_looks_see_all_of_a_split(toy, monkeypatch):
+    monkeypatch.setattr("jiti.critic.train.FIT_FRAMES", 300)
+    monkeypatch.setattr("jiti.critic.train.LOOK_FRAMES", 100)
+    read, seen = FeatureCache.read, []
+    monkeypatch.setattr(FeatureCache, "read", lambda cache, frames: seen.append(frames) or read(cache, frames))
+    run(toy, "run", small(2))
+    assert (len(seen[0]), seen[0][0], seen[0][-1]) == (300, 0, 12 * 40 - 1)
+    looked = next(frames for frames in seen if len(frames) == 100)
+    assert (looked[0], looked[-1]) == (12 * 40, 16 * 40 - 1)
 
 
 def change_rewards(toy: Path) -> Path:
