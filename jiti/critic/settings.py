@@ -126,6 +126,10 @@ class OptimizerSettings:
             _within(f"optimizer.{known.name}", getattr(self, known.name), 0, math.inf)
 
 
+MOST_SEED = 2**32 - 1
+"""Greatest seed: torch's generators take 64 bits, of which 32 number the step."""
+
+
 @dataclass(frozen=True)
 class RunSettings:
     """How long, how exactly, how often something is written."""
@@ -135,6 +139,7 @@ class RunSettings:
     batch: int = 32
     """Chunks a step, of all processes together. C.4."""
     seed: int = 0
+    """Of weights, order and noise."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """bfloat16 as in C.4 where there is a GPU, float32 on CPUs, which are slower with it (auto)."""
     device: str = "auto"
@@ -144,13 +149,14 @@ class RunSettings:
     check_every: int = 500
     """Steps between looks at the validation split and checkpoints. Our choice."""
     patience: int = 10
-    """Looks without a better ranking after which training ends; 0 never ends early. Our choice."""
+    """Looks after which training ends if none was better: a better ranking, or the same with a lower L_Bellman. 0 never
+    ends early. Our choice."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "log_every", "check_every"):
             _within(f"run.{name}", getattr(self, name), 1, math.inf)
-        for name in ("seed", "patience"):
-            _within(f"run.{name}", getattr(self, name), 0, math.inf)
+        _within("run.patience", self.patience, 0, math.inf)
+        _within("run.seed", self.seed, 0, MOST_SEED)
         _one_of("run.precision", self.precision, ("auto", "float32", "bfloat16"))
 
 

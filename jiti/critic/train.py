@@ -44,14 +44,20 @@ class Trained:
     run: Path
     step: int
     best: dict[str, float]
-    """Of the step that is kept as `RUN/model.safetensors`: `auc`, `bellman`, `step`; empty without validation."""
+    """Of the step that is kept as `RUN/model.safetensors`: `auc`, `bellman`, `step`; without `auc` where validation has
+    no task with both verdicts, and empty without validation."""
     stopped_early: bool
 
     def __str__(self) -> str:
         why = ", where validation had not become better for a while" if self.stopped_early else ""
-        kept = (
-            f"step {self.best['step']:.0f} is kept, AUC {self.best['auc']:.2f} on validation" if self.best else "kept"
-        )
+        kept = "kept"
+        if self.best:
+            known = (
+                f"AUC {self.best['auc']:.2f} on validation"
+                if "auc" in self.best
+                else "by its Bellman error: no task of validation has verdicts of both kinds, so there is no AUC"
+            )
+            kept = f"step {self.best['step']:.0f} is kept, {known}"
         return f"Trained to step {self.step}{why}: {kept}. Next: jiti train-critic --evaluate {self.run}"
 
 
@@ -132,7 +138,7 @@ def open_data(data: ElegantData, settings: Settings) -> ElegantData:
 
 
 class _Looking:
-    """Looks at the validation split: ranking of decided segments first, L_Bellman where that is equal."""
+    """Looks at the validation split: ranking of decided segments first, L_Bellman where that is equal, or unknown."""
 
     def __init__(
         self, data: ElegantData, cache: FeatureCache, episodes: np.ndarray, settings: Settings, team: Team
@@ -149,12 +155,12 @@ class _Looking:
         ranking = rank(segment_scores(critic, self._data, self._cache, self._segments), self._segments)
         batch = _batch(self._data, self._cache, self._frames, critic, self._settings, self._team)
         error = bellman_error(state, batch, self._settings.loss)
-        seen = {"auc": ranking.average, "bellman": error} | {f"auc/{k}": v for k, v in ranking.auc.items()}
-        score = (0.0 if np.isnan(ranking.average) else ranking.average, -error)
-        before = (state.best["auc"], -state.best["bellman"]) if state.best else (-1.0, 0.0)
-        better = score > before
+        known = {} if np.isnan(ranking.average) else {"auc": ranking.average}
+        seen = {**known, "bellman": error} | {f"auc/{k}": v for k, v in ranking.auc.items()}
+        score, before = ((said.get("auc", 0.0), -said["bellman"]) for said in (seen, state.best or seen))
+        better = not state.best or score > before
         if better:
-            state.best = {"auc": score[0], "bellman": error, "step": float(state.step)}
+            state.best = {**known, "bellman": error, "step": float(state.step)}
         state.looks_without_better = 0 if better else state.looks_without_better + 1
         return seen, better
 

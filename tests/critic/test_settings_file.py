@@ -36,6 +36,7 @@ def test_a_file_and_what_is_saved_beside_a_checkpoint_are_read_back(tmp_path):
         ("[loss]\nalpha = -1\n", "line 1: loss.alpha is -1; it must be at least 0"),
         ("[loss]\nvariant = 'mine'\n", "loss.variant is 'mine'; it must be one of: paper, public"),
         ("[network]\nwidth = 30\n", "network.width is 30; it must be a multiple of network.heads"),
+        ("[run]\nseed = 4294967296\n", "line 1: run.seed is 4294967296; it must be from 0 to 4294967295"),
         ("steps = 5\n", r"there is no section \[steps\]"),
         ("[loss\n", "is no TOML"),
     ],

@@ -89,6 +89,23 @@ def test_a_toy_is_learned_and_training_ends_when_it_does_not_become_better(toy):
     assert again.step == done.step
 
 
+def test_validation_of_one_kind_of_verdict_has_no_ranking(toy):
+    data = read_elegant(toy)
+    one_kind = np.where((data.split == "validation") & (np.arange(data.episodes) % 2 == 0), "test", data.split)
+    done = run(toy, "run", small(4), data=data.with_splits(one_kind))
+    assert done.best.keys() == {"bellman", "step"}
+    assert "no task of validation has verdicts of both kinds" in str(done)
+    about = (toy.parent / "run/config.json").read_text()
+    assert json.loads(about)["validation"].keys() == {"bellman"}
+    assert run(toy, "run", small(6), data=data.with_splits(one_kind)).step == 6
+
+
+def test_the_greatest_seed_works_and_no_greater_one(toy):
+    assert run(toy, "run", small(2, run={"seed": 2**32 - 1})).step == 2
+    with pytest.raises(UsageError, match=r"run\.seed is 4294967296; it must be from 0 to 4294967295"):
+        small(2, run={"seed": 2**32})
+
+
 def test_what_is_kept_values_chunks_in_the_recordings_units(toy):
     run(toy, "run", small(2))
     critic, data = load_critic(toy.parent / "run"), read_elegant(toy)
