@@ -59,7 +59,7 @@ def load_backbone(
             f"network.backbone {name} cannot be loaded: {' '.join(str(error).split())[:300]}. Give a folder or Hub id "
             "of a model of transformers; one that brings its own code also needs network.trust_remote_code = true."
         ) from error
-    return _around(whole, name, features, action, gradient_checkpointing)
+    return _fed_by_features(whole, name, features, action, gradient_checkpointing)
 
 
 def empty_backbone(config: dict[str, Any], features: int, action: int) -> Backbone:
@@ -68,7 +68,7 @@ def empty_backbone(config: dict[str, Any], features: int, action: int) -> Backbo
 
     kind = transformers.CONFIG_MAPPING[config["model_type"]]
     whole: Any = transformers.AutoModel.from_config(kind.from_dict(config))
-    return _around(whole, config["model_type"], features, action, False)
+    return _fed_by_features(whole, config["model_type"], features, action, False)
 
 
 def describe_backbone(backbone: Backbone) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def describe_backbone(backbone: Backbone) -> dict[str, Any]:
     return model.config.to_dict()
 
 
-def _around(whole: Any, name: str, features: int, action: int, gradient_checkpointing: bool) -> Backbone:
+def _fed_by_features(whole: Any, name: str, features: int, action: int, gradient_checkpointing: bool) -> Backbone:
     decoder = whole.get_decoder() if hasattr(whole, "get_decoder") else whole
     embeddings = decoder.get_input_embeddings()
     if embeddings is None or not hasattr(decoder.config, "hidden_size"):
@@ -91,4 +91,20 @@ def _around(whole: Any, name: str, features: int, action: int, gradient_checkpoi
         # transformers 5.24 has a new name for it, and 5.5 does not know that.
         enable = getattr(decoder, "activation_checkpointing_enable", decoder.gradient_checkpointing_enable)
         enable({"use_reentrant": False})
+        # transformers loads in eval mode, and checkpoints in training mode only. Without dropout the two do the same.
+        _leave_out_dropout(decoder)
+        decoder.train()
     return Backbone(decoder, width, features, action)
+
+
+def _leave_out_dropout(decoder: nn.Module) -> None:
+    """So that values, and runs that go on, depend on nothing but weights and inputs.
+
+    Layers have it as modules, as numbers that attention is called with (`attention_dropout`), or in their config.
+    """
+    for part in (*decoder.modules(), decoder.config):
+        if isinstance(part, nn.Dropout):
+            part.p = 0.0
+        for name, value in vars(part).items():
+            if isinstance(value, float) and "drop" in name:
+                setattr(part, name, 0.0)

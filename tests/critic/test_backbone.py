@@ -1,6 +1,7 @@
 """Q on a Hugging Face model, built here from a tiny config with random weights: trained, saved, loaded again."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch  # noqa: TID253  these tests are about tensors
@@ -63,6 +64,37 @@ def test_padding_and_masked_actions_have_no_influence(folder):
     torch.testing.assert_close(backbone(other, there, chunks, mask), seen, atol=1e-5, rtol=1e-4)
     fewer = backbone(features[:, 1:], there[:, 1:], chunks[:, :, :4], mask[:, :4])
     torch.testing.assert_close(fewer, seen, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("checkpointing", "times"), [(True, 2), (False, 1)])
+def test_layers_are_computed_again_for_gradients_where_checkpointing_is_asked_for(folder, checkpointing, times):
+    backbone = load_backbone(str(folder), 5, 2, gradient_checkpointing=checkpointing)
+    counted = []
+    first: Any = next(iter(backbone.model.layers))
+    first.self_attn.register_forward_pre_hook(lambda *_: counted.append(1))
+    there, mask = torch.ones(2, 3, dtype=torch.bool), torch.ones(2, 6, dtype=torch.bool)
+    backbone(torch.randn(2, 3, 5), there, torch.randn(2, 4, 6, 2), mask).sum().backward()
+    assert len(counted) == times
+    assert backbone.project.weight.grad is not None
+
+
+def test_training_draws_no_dropout(tmp_path):
+    import transformers
+
+    for name, model in {
+        "gpt2": transformers.GPT2Model(
+            transformers.GPT2Config(n_embd=16, n_layer=2, n_head=2, vocab_size=64, n_positions=32)
+        ),
+        "qwen2": transformers.Qwen2ForCausalLM(transformers.Qwen2Config(**TEXT, attention_dropout=0.5)),
+    }.items():
+        model.save_pretrained(tmp_path / name)
+        backbone = load_backbone(str(tmp_path / name), 5, 2)
+        assert backbone.model.training
+        there, mask = torch.ones(2, 3, dtype=torch.bool), torch.ones(2, 6, dtype=torch.bool)
+        features, chunks = torch.randn(2, 3, 5), torch.randn(2, 4, 6, 2)
+        drawn = [backbone(features, there, chunks, mask) for _ in range(2)]
+        assert torch.equal(*drawn), name
+        torch.testing.assert_close(drawn[0], backbone.eval()(features, there, chunks, mask))
 
 
 def test_its_pretrained_layers_are_taken(folder):
