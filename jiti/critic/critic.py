@@ -85,7 +85,7 @@ def make_critic(network: NetworkSettings, sizes: Sizes, limits: ActionRange, con
         )
     else:
         trunk = _transformer(network, sizes)
-    return _around(trunk, network, sizes, limits, config)
+    return _of_trunk(trunk, network, sizes, limits, config)
 
 
 def save_critic(critic: Critic, folder: Path, more: dict[str, Any]) -> None:
@@ -129,7 +129,7 @@ def load_critic(source: str | Path, *, device: str = "cpu") -> Critic:
     except (ValueError, KeyError, TypeError) as error:
         raise SourceError(f"{folder / 'config.json'} is damaged: {error!r}. Train again, or copy it again.") from error
     trunk = empty_backbone(described, sizes.features, sizes.action) if described else _transformer(network, sizes)
-    critic = _around(trunk, network, sizes, limits, config)
+    critic = _of_trunk(trunk, network, sizes, limits, config)
     weights = load_tensors(folder / "model.safetensors")
     for name, module in (("q", critic.q), ("actor", critic.actor)):
         fill(module, {k.removeprefix(f"{name}."): v for k, v in weights.items() if k.startswith(f"{name}.")}, folder)
@@ -200,7 +200,9 @@ def _transformer(network: NetworkSettings, sizes: Sizes) -> Transformer:
     )
 
 
-def _around(trunk: Any, network: NetworkSettings, sizes: Sizes, limits: ActionRange, config: dict[str, Any]) -> Critic:
+def _of_trunk(
+    trunk: Any, network: NetworkSettings, sizes: Sizes, limits: ActionRange, config: dict[str, Any]
+) -> Critic:
     q = QEnsemble(trunk, sizes.features, trunk.width, network.ensemble)
     actor = Actor(sizes.features, sizes.action, network.chunk, network.actor_width)
     return Critic(q, actor, sizes, network, limits, config)
