@@ -409,6 +409,14 @@ def curate(
     weights: Annotated[
         bool, typer.Option("--weights", help="Write weights of frames too, as lerobot-train takes them (RA-BC).")
     ] = False,
+    weights_from: Annotated[
+        str | None,
+        typer.Option(
+            "--weights-from",
+            metavar="RUN",
+            help="Such weights by the critic of a run of train-critic; without --out, of the dataset SOURCE.",
+        ),
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report", help="Write a page about the dataset; without --out, of the dataset SOURCE.")
     ] = False,
@@ -421,6 +429,8 @@ def curate(
     """
     from jiti.curate.export import command
 
+    if weights and weights_from:
+        raise UsageError("--weights and --weights-from write the same file: pass one of them.")
     request = command.Request(
         sources=tuple(sources or ()),
         out=out,
@@ -445,9 +455,14 @@ def curate(
     if show_features:
         print(command.print_features(request), end="")
         return
+    weigh = None
+    if weights_from:
+        from jiti.critic.weigh import weigher
+
+        weigh = weigher(weights_from)
     with _progress("Curating") as progress:
         try:
-            done = command.run(request, progress)
+            done = command.run(request, progress, weigh)
         except KeyboardInterrupt:
             print("Stopped. Finished episodes are kept; the same command goes on there.", file=sys.stderr)
             raise

@@ -9,4 +9,5 @@ step checkpoint resume           one step; saved; what a run may go on with
 team metrics                     several processes; what is told
 train command                    the loop, and what the command was asked
 ranking calibration q_recording evaluate   how a critic does on what it did not see
+weigh                            weights of recorded chunks for lerobot-train
 """

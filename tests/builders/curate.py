@@ -8,7 +8,8 @@ from jiti.annotate.proposals import write_proposals
 from jiti.annotate.segment_file import Recording
 from jiti.annotate.segments import Segment
 from jiti.annotate.store import LabelStore
-from jiti.curate.export.command import Curated, Request, curate
+from jiti.curate.export.command import Request, curate
+from jiti.curate.export.curated import Curated
 from jiti.episodes.reader import open_reader
 from tests.builders.labels import segment
 from tests.builders.mcap import Camera, write_mcap

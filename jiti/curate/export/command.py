@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,13 +13,14 @@ from jiti.curate.export.build import Output, build
 from jiti.curate.export.card import dataset_card
 from jiti.curate.export.codec import Codec, Name
 from jiti.curate.export.counted import MAJORITY, Rule
+from jiti.curate.export.curated import Added, Curated
 from jiti.curate.export.features_file import features_toml, read_features
 from jiti.curate.export.filter import Filter
 from jiti.curate.export.plan import Choice, Plan, make_plan
 from jiti.curate.export.sources import Source, open_sources
 from jiti.curate.export.split import DEFAULT, parse_shares
 from jiti.curate.export.weights import WEIGHTS_FILE
-from jiti.curate.report import Reported, report_on
+from jiti.curate.report import report_on
 from jiti.curate.returns import GAMMA
 from jiti.episodes.lerobot_info import INFO_PATH
 from jiti.episodes.lerobot_reader import LeRobotReader
@@ -27,6 +28,8 @@ from jiti.errors import SourceError, UsageError
 from jiti.progress import Progress
 
 Unlabelled = Literal["leave", "keep"]
+Weigh = Callable[[Path, Progress], Path]
+"""Writes weights into a dataset and says where they are: a critic's, which stands above this package."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,51 +76,6 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Curated:
-    """What was written. Its text is for a person."""
-
-    out: Path
-    episodes: int
-    frames: int
-    fps: int
-    elegant: int
-    judged: int
-    splits: Mapping[str, int]
-    unlabelled: int
-    filtered: int
-    notes: tuple[str, ...]
-    weights: Path | None = None
-    report: Path | None = None
-
-    def __str__(self) -> str:
-        splits = ", ".join(f"{name} {count}" for name, count in self.splits.items())
-        lines = [
-            f"{self.episodes} episodes, {self.frames} frames at {self.fps} Hz in {self.out}.",
-            f"{self.elegant} of {self.judged} judged episodes are elegant; splits: {splits}.",
-        ]
-        if self.unlabelled:
-            lines.append(f"Left out: {self.unlabelled} episodes without labels that count (--unlabelled keep).")
-        if self.filtered:
-            lines.append(f"Left out: {self.filtered} episodes by --filter.")
-        lines += self.notes[:20]
-        if len(self.notes) > 20:
-            lines.append(f"{len(self.notes) - 20} more notes; --json lists all.")
-        if self.weights:
-            lines.append(
-                f"Weights for lerobot-train: {self.weights}. "
-                "--sample_weighting.type=rabc takes them with --dataset.root; see docs/curate.md."
-            )
-        if self.report:
-            lines.append(f"Report: {self.report}")
-        return "\n".join(lines)
-
-    def to_json(self) -> str:
-        """For `--json`."""
-        told = asdict(self) | {name: str(getattr(self, name) or "") or None for name in ("out", "weights", "report")}
-        return json.dumps(told, indent=2, ensure_ascii=False)
-
-
-@dataclass(frozen=True, slots=True)
 class Prepared:
     """A request, looked at and planned; nothing is written yet."""
 
@@ -129,14 +87,27 @@ class Prepared:
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
-def run(request: Request, progress: Progress = lambda _share, _what: None) -> "Curated | Reported":
-    """Do it. Raises JitiError for what does not fit together or is not there; then nothing is at `--out`."""
-    if request.report and request.out is None:
+def run(
+    request: Request, progress: Progress = lambda _share, _what: None, weigh: Weigh | None = None
+) -> "Curated | Added":
+    """Make the dataset, or add a report or a critic's weights to one. Raises JitiError.
+
+    Where it was to be made and could not be, nothing is at `--out`.
+    """
+    if request.out is None and (request.report or weigh):
         if len(request.sources) != 1:
-            raise UsageError("--report without --out is of one dataset: jiti curate --report DATASET.")
-        return report_on(Path(request.sources[0]))
-    done = curate(request, progress)
-    return replace(done, report=report_on(done.out).path) if request.report else done
+            flag = "--report" if request.report else "--weights-from RUN"
+            raise UsageError(f"{flag} without --out is of one dataset: jiti curate {flag} DATASET.")
+        return _add(Path(request.sources[0]), request, weigh, progress)
+    share = 0.8 if weigh else 1.0
+    done = curate(request, lambda part, what: progress(share * part, what))
+    added = _add(done.out, request, weigh, lambda part, what: progress(share + (1 - share) * part, what))
+    return replace(done, weights=added.weights or done.weights, report=added.report)
+
+
+def _add(dataset: Path, request: Request, weigh: Weigh | None, progress: Progress) -> Added:
+    weights = weigh(dataset, progress) if weigh else None
+    return Added(weights, report_on(dataset) if request.report else None)
 
 
 def curate(request: Request, progress: Progress = lambda _share, _what: None) -> Curated:

@@ -39,11 +39,23 @@ def label_progress(reward: np.ndarray, annotated: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(gain)[:-1]]).astype(np.float32)
 
 
+def value_progress(value: np.ndarray, reward: np.ndarray) -> np.ndarray:
+    """(frames,) float32 of one episode, by a critic: what was rewarded before each frame and is expected from it on.
+
+    `value` (frames,) is Q of the chunk that was done at each frame. Alone it would not do: it falls while a segment
+    is rewarded, for less is left to come. With what was rewarded it never falls where all goes as the critic expects
+    (by 1 - gamma of the next value it grows), grows more where a chunk does better, and falls where one does worse.
+    In windows of 25 frames, as `label_progress`.
+    """
+    before = np.concatenate([[0.0], np.cumsum(reward)[:-1]])
+    return ((before + value) / DEFAULT_WINDOW_FRAMES).astype(np.float32)
+
+
 def write_weights(path: Path, progress: Iterable[tuple[int, np.ndarray]]) -> None:
     """Write `(episode_index, progress (frames,))` of all episodes of a dataset, from 0 on, in order.
 
-    From labels it is `label_progress`; from a critic, its value of each frame: what it grows by over a chunk is what
-    the chunk gained. Raises UsageError for values that are not finite or an episode out of order.
+    From labels it is `label_progress`, from a critic `value_progress`. Raises UsageError for values that are not
+    finite or an episode out of order.
     """
     with replacing(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         first = 0
