@@ -19,6 +19,8 @@ from jiti.curate.export.split import SPLITS as SEEN
 from jiti.curate.export.split import UNSEEN
 from jiti.curate.returns import GAMMA, mc_returns
 from jiti.episodes.lerobot_index import episode_id_of
+from jiti.episodes.lerobot_info import load_info
+from jiti.episodes.lerobot_v3 import read_tasks_v3
 from jiti.errors import SourceError
 
 SPLITS = (*SEEN, UNSEEN)
@@ -166,6 +168,16 @@ def state_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Number columns of all frames by name, (frames, n) float32 each, in `index` order. Raises SourceError."""
     table = pa.concat_tables(_read(path, ["index", *keys]) for path in _files(root)).sort_by("index")
     return {key: _vectors(table, key, root) for key in keys}
+
+
+def instructions(root: Path) -> np.ndarray:
+    """The instruction of every frame (frames,), in `index` order. Raises SourceError."""
+    table = pa.concat_tables(_read(path, ["index", "task_index"]) for path in _files(root)).sort_by("index")
+    told = read_tasks_v3(load_info(root))
+    numbers = table["task_index"].to_pylist()
+    if unknown := set(numbers) - set(told):
+        raise SourceError(f"{root}/meta/tasks.parquet lacks task {min(unknown)}. Make it again with `jiti curate`.")
+    return np.array([told[number] for number in numbers], dtype=object)
 
 
 def _info(root: Path) -> dict[str, Any]:

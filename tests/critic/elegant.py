@@ -69,6 +69,8 @@ def write_elegant(
         "total_episodes": len(episodes),
         "features": {name: {"dtype": "float32", "shape": shape, "names": None} for name, shape in shapes.items()},
     }
+    named = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": [f"do {task}" for task in tasks]})
+    pq.write_table(named, root / "meta/tasks.parquet")
     (root / "meta/info.json").write_text(json.dumps(info))
     (root / "meta/jiti/curate.json").write_text(json.dumps({"gamma": gamma, "fps": fps}))
     rows = pa.table(

@@ -1,10 +1,9 @@
-"""Features of policies: the same for a frame in any batch, from SmolVLA, GR00T and any policy of lerobot."""
+"""Features of GR00T and of any policy of lerobot: the same for a frame in any batch."""
 
 import json
 import shutil
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs pip install 'jiti[learn]'")
@@ -14,36 +13,19 @@ from jiti.critic.features import open_extractor  # noqa: E402
 from jiti.critic.features.groot import GrootFeatures  # noqa: E402
 from jiti.critic.features.opened_policy import OpenedPolicy  # noqa: E402
 from jiti.errors import UsageError  # noqa: E402
+from tests.critic.same_features import same_in_any_batch  # noqa: E402
 
 # lerobot and transformers warn of their own dependencies.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 STATE, SCENE = "observation.state", "observation.environment_state"
-FRONT, WRIST = "observation.images.front", "observation.images.wrist"
 SHAPES = {STATE: (8,), SCENE: (5,), "action": (7,)}
-SIDE = 32
 
 
 @pytest.fixture(autouse=True)
 def one_thread():
     torch.set_num_threads(1)
     torch.manual_seed(0)
-
-
-def rows(batch, which):
-    return {k: [v[i] for i in which] if isinstance(v, list) else v[which] for k, v in batch.items()}
-
-
-def same_in_any_batch(extractor, batch):
-    whole = extractor.features(batch)
-    frames = len(batch["task"])
-    assert whole.shape == (frames, extractor.tokens, extractor.size)
-    assert not whole.requires_grad
-    alone = torch.cat([extractor.features(rows(batch, [i])) for i in range(frames)])
-    assert torch.allclose(whole, alone, atol=1e-5)
-    turned = extractor.features(rows(batch, [2, 0, 1]))
-    assert torch.allclose(turned, whole[[2, 0, 1]], atol=1e-5)
-    return whole
 
 
 @pytest.fixture(scope="module")
@@ -173,139 +155,3 @@ def test_groot_gives_pictures_words_and_state():
     assert torch.allclose(seen[:, 1], batch[STATE][:, :6] * 3)
     assert torch.allclose(seen[:, 2, :4], policy._groot_model.action_head.state_encoder(batch[STATE]))
     assert seen[:, 2, 4:].abs().max() == 0
-
-
-@pytest.fixture(scope="module")
-def smolvla(tmp_path_factory):
-    pytest.importorskip("num2words", reason="needs pip install num2words")
-    from tests.builders.tiny_smolvla import build_smolvla, build_vlm
-
-    folder = tmp_path_factory.mktemp("models")
-    vlm = build_vlm(folder / "vlm")
-    return vlm, build_smolvla(folder / "smolvla", vlm)
-
-
-PICTURES = {STATE: (8,), FRONT: (SIDE, SIDE, 3), WRIST: (SIDE, SIDE, 3), "action": (7,)}
-
-
-def seen(frames=3):
-    pictures = {key: torch.rand(frames, 3, SIDE, SIDE) for key in (FRONT, WRIST)}
-    said = ["put the bowl on the plate", "put", "the plate"][:frames]
-    return {STATE: torch.randn(frames, 8), **pictures, "task": said}
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_smolvla_gives_cameras_words_and_state(smolvla):
-    extractor = open_extractor(f"smolvla:{smolvla[1]}", PICTURES)
-    assert extractor.tokens == 4
-    batch = seen()
-    whole = same_in_any_batch(extractor, batch)
-    other = extractor.features(batch | {FRONT: torch.rand(3, 3, SIDE, SIDE)})
-    assert not torch.allclose(whole[:, 0], other[:, 0])
-    assert not torch.allclose(whole, extractor.features(batch | {"task": ["a", "b", "c"]}))
-    # State is what nothing else looks at.
-    moved = extractor.features(batch | {STATE: torch.randn(3, 8)})
-    assert torch.allclose(whole[:, :3], moved[:, :3], atol=1e-5)
-    assert not torch.allclose(whole[:, 3], moved[:, 3])
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_all_tokens_of_smolvla_have_the_means_of_the_few(smolvla):
-    few = open_extractor(f"smolvla:{smolvla[1]}", PICTURES)
-    every = open_extractor(f"smolvla:{smolvla[1]}#all", PICTURES)
-    batch = seen()
-    tokens = same_in_any_batch(every, batch)
-    means = few.features(batch)
-    side = (every.tokens - 1 - 48) // 2
-    assert torch.allclose(tokens[:, :side].mean(1), means[:, 0], atol=1e-5)
-    words = tokens[:, 2 * side : -1]
-    there = (words.abs().sum(-1, keepdim=True) > 0).sum(1)
-    assert torch.allclose(words.sum(1) / there, means[:, 2], atol=1e-5)
-    assert there.flatten().tolist() != [48] * 3
-    with pytest.raises(UsageError, match="all"):
-        open_extractor(f"smolvla:{smolvla[1]}#some", PICTURES)
-    with pytest.raises(UsageError, match="needs pictures"):
-        open_extractor(f"smolvla:{smolvla[1]}", SHAPES)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_a_critic_on_a_hugging_face_backbone_learns_from_smolvla_and_is_opened_again(smolvla, tmp_path):
-    from jiti.critic.critic import load_critic
-    from jiti.critic.settings_file import settings_from
-    from jiti.critic.train import train
-
-    vlm, policy = smolvla
-    root = elegant_with_pictures(tmp_path / "elegant")
-    name = f"smolvla:{policy}"
-    settings = settings_from(
-        {
-            "data": {"features": name},
-            "network": {"backbone": str(vlm), "actor_width": 16},
-            "run": {"steps": 3, "batch": 4, "check_every": 3, "log_every": 1},
-        }
-    )
-    trained = train(root, tmp_path / "run", settings, features_dir=tmp_path / "features")
-    assert trained.step == 3
-    critic = load_critic(tmp_path / "run")
-    again = load_critic(tmp_path / "run")
-    extractor = open_extractor(name, PICTURES)
-    features = extractor.features(seen()).clone()
-    chunks = np.random.default_rng(0).uniform(-1, 1, (3, 8, 10, 7))
-    values = critic.values(features, chunks)
-    assert values.shape == (2, 3, 8)
-    assert torch.isfinite(values).all()
-    assert torch.equal(values, again.values(features, chunks))
-
-
-def elegant_with_pictures(root):
-    """Six short episodes with two cameras, half of them elegant, as LeRobot's own writer leaves them."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    from jiti.curate.returns import mc_returns
-
-    def numbers(size, dtype="float32"):
-        return {"dtype": dtype, "shape": (size,), "names": None}
-
-    picture = {"dtype": "image", "shape": (SIDE, SIDE, 3), "names": ["height", "width", "channels"]}
-    features = {STATE: numbers(8), "action": numbers(7), FRONT: picture, WRIST: picture}
-    features |= {"next.reward": numbers(1), "elegance.annotated": numbers(1, "bool"), "elegance.mc_return": numbers(1)}
-    made = LeRobotDataset.create("local/elegant", fps=20, root=root, use_videos=False, features=features)
-    rng = np.random.default_rng(0)
-    length, window = 16, slice(8, 14)
-    for episode in range(6):
-        annotated = np.zeros(length, bool)
-        annotated[window] = True
-        reward = (annotated * (episode % 2)).astype(np.float32)
-        returns = mc_returns(reward, np.array([0, length]), 0.98)
-        for frame in range(length):
-            made.add_frame(
-                {
-                    STATE: rng.normal(size=8).astype(np.float32),
-                    "action": rng.uniform(-1, 1, 7).astype(np.float32),
-                    FRONT: rng.integers(0, 255, (SIDE, SIDE, 3), np.uint8),
-                    WRIST: rng.integers(0, 255, (SIDE, SIDE, 3), np.uint8),
-                    "next.reward": reward[[frame]],
-                    "elegance.annotated": annotated[[frame]],
-                    "elegance.mc_return": returns[[frame]].astype(np.float32),
-                    "task": "put the bowl on the plate",
-                }
-            )
-        made.save_episode()
-    made.finalize()
-    (root / "meta/jiti").mkdir()
-    (root / "meta/jiti/curate.json").write_text(json.dumps({"gamma": 0.98, "fps": 20}))
-    columns = {
-        "episode_index": pa.array(range(6), pa.int64()),
-        "episode_id": [f"recorded_{n}" for n in range(6)],
-        "fingerprint": [f"{n:016x}" for n in range(6)],
-        "task_id": ["elegant/T2"] * 6,
-        "split": ["train"] * 4 + ["validation"] * 2,
-        "frames": pa.array([length] * 6, pa.int64()),
-    }
-    pq.write_table(pa.table(columns), root / "meta/jiti/episodes.parquet")
-    return root

@@ -96,7 +96,7 @@ def feature_cache(
     shards = -(-data.frames // SHARD_FRAMES)
     left = [shard for shard in range(shards) if not _mark(at, shard).exists()]
     if left:
-        job = _Job(at, data.root, data.frames, dict(data.shapes), name, device, kind, SHARD_FRAMES)
+        job = _Job(at, data.root, data.fingerprint, data.frames, dict(data.shapes), name, device, kind, SHARD_FRAMES)
         for done, shard in enumerate(_filled(job, extractor, left, workers), 1):
             progress((shards - len(left) + done) / shards, f"features of frame {shard * SHARD_FRAMES} and on")
     return open_cache(at)
@@ -127,6 +127,8 @@ class _Job:
 
     at: Path
     root: Path
+    dataset: str
+    """Its fingerprint."""
     frames: int
     shapes: Shapes
     name: str
@@ -214,7 +216,7 @@ def _fill(job: _Job, extractor: FeatureExtractor, shard: int) -> None:
     stop = min(first + job.shard_frames, job.frames)
     parts = []
     with torch.inference_mode():
-        for batch in observations(job.root, extractor.needs, first, stop, BATCH_FRAMES):
+        for batch in observations(job.root, job.dataset, extractor.needs, first, stop, BATCH_FRAMES):
             parts.append(extractor.features(batch).float().cpu())
     rows = torch.cat(parts)
     if rows.shape != (stop - first, extractor.tokens, extractor.size):

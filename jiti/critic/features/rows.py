@@ -4,43 +4,54 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from jiti.critic.dataset import state_columns
+from jiti.critic.dataset import instructions, state_columns
 from jiti.critic.features.base import Batch
 
-
-def observations(root: Path, needs: Sequence[str], first: int, stop: int, batch: int) -> Iterator[Batch]:
-    """Batches of frames `first` to `stop - 1`, of at most `batch` frames each, with the keys of `needs`."""
-    if all(key.startswith("observation.") and ".images." not in key for key in needs):
-        return _numbers(root, tuple(needs), first, stop, batch)
-    return _items(root, first, stop, batch)
+TASK = "task"
+"""The key of a batch's instructions."""
 
 
-_columns: dict[tuple[Path, tuple[str, ...]], dict[str, np.ndarray]] = {}
+def observations(
+    root: Path, fingerprint: str, needs: Sequence[str], first: int, stop: int, batch: int
+) -> Iterator[Batch]:
+    """Batches of frames `first` to `stop - 1`, of at most `batch` frames each, with the keys of `needs`.
+
+    `fingerprint` is the dataset's: what a process has read of a dataset is used again only while it is the same.
+    """
+    if any(".image" in key for key in needs):
+        return _items(root, fingerprint, first, stop, batch)
+    return _numbers(root, fingerprint, tuple(needs), first, stop, batch)
 
 
-def _numbers(root: Path, keys: tuple[str, ...], first: int, stop: int, batch: int) -> Iterator[Batch]:
+_columns: dict[tuple[str, tuple[str, ...]], dict[str, Any]] = {}
+
+
+def _numbers(root: Path, fingerprint: str, keys: tuple[str, ...], first: int, stop: int, batch: int) -> Iterator[Batch]:
     import torch
 
-    if (root, keys) not in _columns:
+    if (fingerprint, keys) not in _columns:
         _columns.clear()
-        _columns[root, keys] = state_columns(root, keys)
-    columns = _columns[root, keys]
+        read: dict[str, Any] = dict(state_columns(root, tuple(key for key in keys if key != TASK)))
+        _columns[fingerprint, keys] = read | ({TASK: instructions(root)} if TASK in keys else {})
+    columns = _columns[fingerprint, keys]
     for begin in range(first, stop, batch):
-        yield {key: torch.from_numpy(values[begin : min(begin + batch, stop)]) for key, values in columns.items()}
+        rows = slice(begin, min(begin + batch, stop))
+        yield {
+            key: values[rows].tolist() if key == TASK else torch.from_numpy(values[rows])
+            for key, values in columns.items()
+        }
 
 
-_datasets: dict[Path, Any] = {}
+_datasets: dict[str, Any] = {}
 
 
-def _items(root: Path, first: int, stop: int, batch: int) -> Iterator[Batch]:
+def _items(root: Path, fingerprint: str, first: int, stop: int, batch: int) -> Iterator[Batch]:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
     from torch.utils.data import default_collate
 
-    if root not in _datasets:
+    if fingerprint not in _datasets:
         _datasets.clear()
-        _datasets[root] = LeRobotDataset(root.name, root=root)
-    dataset = _datasets[root]
+        _datasets[fingerprint] = LeRobotDataset(root.name, root=root)
+    dataset = _datasets[fingerprint]
     for begin in range(first, stop, batch):
         yield default_collate([dataset[index] for index in range(begin, min(begin + batch, stop))])
