@@ -12,6 +12,7 @@ pytest.importorskip("lerobot", reason="needs pip install 'jiti[learn]'")
 from jiti.critic.features import open_extractor  # noqa: E402
 from jiti.critic.features.groot import GrootFeatures  # noqa: E402
 from jiti.critic.features.opened_policy import OpenedPolicy  # noqa: E402
+from jiti.critic.features.policy import MODULES  # noqa: E402
 from jiti.errors import UsageError  # noqa: E402
 from tests.critic.same_features import same_in_any_batch  # noqa: E402
 
@@ -19,6 +20,7 @@ from tests.critic.same_features import same_in_any_batch  # noqa: E402
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 STATE, SCENE = "observation.state", "observation.environment_state"
+FRONT = "observation.images.front"
 SHAPES = {STATE: (8,), SCENE: (5,), "action": (7,)}
 
 
@@ -28,33 +30,64 @@ def one_thread():
     torch.manual_seed(0)
 
 
-@pytest.fixture(scope="module")
-def flow(tmp_path_factory):
-    """A checkpoint of our own policy, as `lerobot-train` leaves one."""
-    from lerobot.configs.types import FeatureType, PolicyFeature
+def checkpoint(policy, run):
+    """A run's folder with a policy in it, as `lerobot-train` leaves one."""
     from lerobot.policies.factory import make_pre_post_processors
 
+    folder = run / "checkpoints" / "last" / "pretrained_model"
+    policy.save_pretrained(folder)
+    features = {**policy.config.input_features, **policy.config.output_features}
+    stats = {key: {"mean": torch.zeros(f.shape[0]), "std": torch.ones(f.shape[0])} for key, f in features.items()}
+    stats |= {FRONT: {"mean": torch.zeros(3, 1, 1), "std": torch.ones(3, 1, 1)}}
+    for part in make_pre_post_processors(policy.config, dataset_stats=stats):
+        part.save_pretrained(folder)
+    return run
+
+
+def inputs():
+    """lerobot's words for `SHAPES`."""
+    from lerobot.configs.types import FeatureType, PolicyFeature
+
+    return {
+        "input_features": {STATE: PolicyFeature(FeatureType.STATE, (8,)), SCENE: PolicyFeature(FeatureType.ENV, (5,))},
+        "output_features": {"action": PolicyFeature(FeatureType.ACTION, (7,))},
+    }
+
+
+def state_flow():
     from jiti.policies.configuration_state_flow import StateFlowConfig
     from jiti.policies.modeling_state_flow import StateFlowPolicy
 
-    config = StateFlowConfig(
-        device="cpu",
-        width=16,
-        depth=1,
-        instructions=["put it there", "push it away"],
-        input_features={
-            STATE: PolicyFeature(FeatureType.STATE, (8,)),
-            SCENE: PolicyFeature(FeatureType.ENV, (5,)),
-        },
-        output_features={"action": PolicyFeature(FeatureType.ACTION, (7,))},
+    told = ["put it there", "push it away"]
+    return StateFlowPolicy(StateFlowConfig(device="cpu", width=16, depth=1, instructions=told, **inputs()))
+
+
+def act():
+    from lerobot.configs.types import FeatureType, PolicyFeature
+    from lerobot.policies.act.configuration_act import ACTConfig
+    from lerobot.policies.act.modeling_act import ACTPolicy
+
+    seen = inputs()
+    seen["input_features"][FRONT] = PolicyFeature(FeatureType.VISUAL, (3, 64, 64))
+    small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "n_encoder_layers": 1, "n_vae_encoder_layers": 1}
+    return ACTPolicy(
+        ACTConfig(device="cpu", chunk_size=5, n_action_steps=5, pretrained_backbone_weights=None, **small, **seen)
     )
-    run = tmp_path_factory.mktemp("run")
-    folder = run / "checkpoints" / "last" / "pretrained_model"
-    StateFlowPolicy(config).save_pretrained(folder)
-    stats = {key: {"mean": torch.zeros(n), "std": torch.ones(n)} for key, n in ((STATE, 8), (SCENE, 5), ("action", 7))}
-    for part in make_pre_post_processors(config, dataset_stats=stats):
-        part.save_pretrained(folder)
-    return run
+
+
+@pytest.fixture(scope="module")
+def flow(tmp_path_factory):
+    return checkpoint(state_flow(), tmp_path_factory.mktemp("run"))
+
+
+@pytest.mark.parametrize("kind", MODULES)
+def test_every_policy_with_a_module_of_its_own_gives_features(kind, tmp_path):
+    run = checkpoint({"state_flow": state_flow, "act": act}[kind](), tmp_path)
+    extractor = open_extractor(f"policy:{run}", SHAPES | {FRONT: (64, 64, 3)})
+    whole = same_in_any_batch(extractor, observations() | {FRONT: torch.rand(3, 3, 64, 64)})
+    # ACT: a latent that is 0 without its encoder, both states, and 2 x 2 places of the picture.
+    assert whole.shape == (3, {"state_flow": 1, "act": 7}[kind], 16)
+    assert not torch.allclose(whole[0], whole[1])
 
 
 def observations(frames=3):

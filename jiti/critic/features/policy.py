@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 VERSION = 1
 """Of this code: raise it when features change."""
-MODULES = {"state_flow": "average.encoder", "act": "model.encoder", "diffusion": "diffusion.rgb_encoder"}
-"""The part that stands for a policy's view of an observation, by the policy's type; of others the user names it."""
+MODULES = {"state_flow": "average.encoder", "act": "model.encoder"}
+"""The part that stands for a policy's view of an observation, by the policy's type; of others the user names it. Of
+lerobot's `diffusion` none does: its encoder of pictures gets the pictures of several times and cameras as one batch."""
 
 
 class PolicyFeatures:
