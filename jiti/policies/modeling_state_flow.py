@@ -139,12 +139,12 @@ class StateFlowPolicy(PreTrainedPolicy):
         return network.encode(observed, self._tasks(batch.get("task"), observed))
 
     def _tasks(self, said: str | Sequence[str] | None, like: Tensor) -> Tensor:
-        """(B, T): one 1 at each instruction's place; zeros for one that training did not have."""
+        """(B, T): one 1 at each instruction's place; zeros for one that training did not have, white space aside."""
         told = [said] * len(like) if isinstance(said, str) or said is None else list(said)
         if len(told) == 1 and len(like) > 1:
             told = told * len(like)
-        known = {instruction: place for place, instruction in enumerate(self.config.instructions)}
-        tasks = like.new_zeros(len(like), len(known))
+        known = {instruction.strip(): place for place, instruction in enumerate(self.config.instructions)}
+        tasks = like.new_zeros(len(like), len(self.config.instructions))
         for row, instruction in enumerate(told):
             place = known.get((instruction or "").strip())
             if place is not None:

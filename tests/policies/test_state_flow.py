@@ -112,6 +112,14 @@ def test_an_instruction_that_training_did_not_have_is_no_instruction(taught):
     assert not torch.equal(unknown, taught.predict_action_chunk(seen, noise))
 
 
+def test_space_around_an_instruction_is_of_no_matter_in_the_dataset_and_in_a_rollout():
+    policy = build(instructions=["go left ", RIGHT])
+    told = policy._tasks(["go left ", "go left", " go right\n"], torch.zeros(3, 1))
+    assert told.tolist() == [[1, 0], [1, 0], [0, 1]]
+    twice = build(instructions=["go left ", "go left"])
+    assert twice._tasks(["go left"], torch.zeros(1, 1)).tolist() == [[0, 1]]
+
+
 def test_candidates_are_what_each_noise_gives_alone(taught):
     seen, noise = observations(3, [LEFT, RIGHT, LEFT]), torch.randn(3, 8, 4, 2)
     candidates = taught.predict_action_chunk(seen, noise)
