@@ -17,7 +17,7 @@ class Calibration:
 
     frames: int
     bias: float
-    """Mean of Q less the return. Conservative values are lower: Q of the data's chunks alone is pushed up, not down."""
+    """Mean of Q less the return. The conservative term pushes Q of recorded chunks up, and Q of others down."""
     rmse: float
     correlation: float
     """Pearson's; NaN where one of both does not vary."""
