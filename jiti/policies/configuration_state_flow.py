@@ -7,6 +7,7 @@ from lerobot.configs.policies import PreTrainedConfig  # noqa: TID253 - this mod
 from lerobot.configs.types import NormalizationMode  # noqa: TID253
 from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig  # noqa: TID253
 
+from jiti.curate.export.features import ENVIRONMENT_STATE, STATE
 from jiti.errors import UsageError
 
 
@@ -75,7 +76,7 @@ class StateFlowConfig(PreTrainedConfig):
         """Raises UsageError where there is no state or action."""
         if self.robot_state_feature is None and self.env_state_feature is None:
             raise UsageError(
-                "state_flow needs observation.state or observation.environment_state in the dataset; it has: "
+                f"state_flow needs {STATE} or {ENVIRONMENT_STATE} in the dataset; it has: "
                 f"{', '.join(self.input_features or {}) or 'neither'}. A policy for pictures is --policy.type=smolvla."
             )
         if self.action_feature is None:
@@ -111,5 +112,4 @@ class StateFlowConfig(PreTrainedConfig):
     def observed(self) -> dict[str, int]:
         """Keys of a batch that are seen, with how many numbers each has."""
         features: dict[str, Any] = self.input_features or {}
-        keys = ("observation.state", "observation.environment_state")
-        return {key: features[key].shape[0] for key in keys if key in features}
+        return {key: features[key].shape[0] for key in (STATE, ENVIRONMENT_STATE) if key in features}
