@@ -6,7 +6,6 @@ There is no state of a random generator or sampler: both are functions of (seed,
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import torch  # noqa: TID253  imported by training only
 
@@ -19,12 +18,12 @@ KEPT = 2
 """Checkpoints that are kept. Our choice: the last, and the one before in case that one is damaged."""
 
 
-def save(state: State, folder: Path, more: dict[str, Any]) -> None:
+def save(state: State, folder: Path) -> None:
     """Write a checkpoint folder, in whole or not at all. Raises SaveFailed."""
     temporary = folder.with_name(f".tmp-{folder.name}")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        save_critic(state.critic, temporary, {**more, "step": state.step})
+        save_critic(state.critic, temporary, {"step": state.step})
         tensors = {f"target.{name}": value for name, value in state.target.state_dict().items()}
         tensors |= {"log_temperature": state.log_temperature, "log_multiplier": state.log_multiplier}
         for name, optimizer in state.optimizers.items():

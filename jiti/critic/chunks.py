@@ -18,8 +18,6 @@ RANGE_MARGIN = 1e-3
 class Chunks:
     """B chunks: what was done from frame t on, and what came of it. Arrays, one row a chunk."""
 
-    frame: np.ndarray
-    """(B,) int64: t, as an index of the dataset."""
     action: np.ndarray
     """(B, K, A) float32: a_t to a_{t+K-1}, in -1 to 1; zeros behind the episode's end."""
     mask: np.ndarray
@@ -73,7 +71,6 @@ def cut_chunks(
     follows = frames + offset < end
     next_frame = np.where(follows, frames + offset, frames)
     return Chunks(
-        frame=frames,
         action=action,
         mask=mask,
         reward=reward.astype(np.float32),

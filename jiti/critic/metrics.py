@@ -54,8 +54,3 @@ class Metrics:
 
     def close(self) -> None:
         self._board.close()
-
-
-def read_metrics(run: Path) -> pa.Table:
-    """All rows of a run: step, name, value, in the order of steps."""
-    return pq.read_table(run / "metrics").sort_by("step")

@@ -120,7 +120,7 @@ def train(
                     metrics.flush(step)
                     if better:
                         save_critic(critic, run, {"step": step, "validation": seen})
-                    save(state, checkpoint_folder(run, step), {})
+                    save(state, checkpoint_folder(run, step))
                     drop_old(run)
                 team.wait()
     finally:

@@ -49,8 +49,6 @@ class FeatureCache:
     folder: Path
     rows: np.ndarray
     """(frames, tokens, size), mapped; float32, or bfloat16 as uint16."""
-    valid: np.ndarray
-    """(frames,) bool."""
     kind: Kind
     extractor: str
     """Name and fingerprint of what made them."""
@@ -118,7 +116,7 @@ def open_cache(folder: Path) -> FeatureCache:
             f"{folder}: features of {int((~valid).sum())} frames are not numbers, the first at index "
             f"{int(np.argmin(valid))}. Look at that frame, mend or leave out its recording, and delete the folder."
         )
-    return FeatureCache(folder, rows, valid, kind, about["extractor"], about["extractor_fingerprint"])
+    return FeatureCache(folder, rows, kind, about["extractor"], about["extractor_fingerprint"])
 
 
 @dataclass(frozen=True)
