@@ -3,8 +3,9 @@
     uv run python benchmarks/critic.py --json figures.json
 
 Updates are of the default network at the paper's batch of 32 (supplement C.4), on random numbers of the sizes of
-simulated recordings: 102 state numbers, actions of 7. One update is Q, actor, temperature and target network.
-A read of the cache is a batch of 32 random frames; its peer reads the same frames by LeRobotDataset.
+simulated recordings: 8 numbers of the robot and those of the scene, actions of 7. One update is Q, actor, temperature
+and target network. A read of the cache is a batch of 32 random frames; its peer reads the same frames by
+LeRobotDataset, of a dataset without pictures.
 """
 
 import time
@@ -111,6 +112,11 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--dataset", type=Path, help="a dataset of `jiti curate`, whose features are read")
     asked = parser.parse_args()
+    if asked.dataset:
+        from jiti.critic.dataset import read_elegant
+
+        if cameras := [name for name in read_elegant(asked.dataset).shapes if ".images." in name]:
+            parser.error(f"--dataset {asked.dataset} has pictures, which the peer would decode: {', '.join(cameras)}.")
     run(asked, partial(measure, dataset=asked.dataset))
 
 
