@@ -64,22 +64,50 @@ def test_smolvla_has_the_supplements_betas_and_full_precision(tmp_path):
     assert config.env_eval_freq == 20_000
 
 
+def observed(policy_config):
+    """A policy's config with the supplement's observations: two cameras, 8 numbers of state, actions of 7."""
+    from lerobot.configs.types import FeatureType, PolicyFeature
+
+    policy_config.input_features = {
+        "observation.state": PolicyFeature(FeatureType.STATE, (8,)),
+        "observation.images.front": PolicyFeature(FeatureType.VISUAL, (3, 224, 224)),
+        "observation.images.wrist": PolicyFeature(FeatureType.VISUAL, (3, 224, 224)),
+    }
+    policy_config.output_features = {"action": PolicyFeature(FeatureType.ACTION, (7,))}
+    return policy_config
+
+
 def test_pi05_trains_lora_on_the_backbone_and_all_of_the_action_head(tmp_path):
     import re
 
+    from lerobot.policies.factory import get_policy_class
+
     config = parsed("pi05", tmp_path)
     assert config.policy.dtype == "bfloat16"
-    assert config.optimizer.grad_clip_norm == 1.0
+    assert (config.optimizer.grad_clip_norm, config.optimizer.weight_decay) == (1.0, 1e-10)  # openpi's
     assert len(config.policy.action_delta_indices) == 10
-    backbone = "model.paligemma_with_expert.paligemma.model"
-    adapted = [
-        f"{backbone}.language_model.layers.3.self_attn.q_proj",
-        f"{backbone}.language_model.layers.0.mlp.up_proj",
-    ]
-    left = ["model.paligemma_with_expert.gemma_expert.model.layers.0.self_attn.q_proj", "model.action_in_proj"]
-    assert all(re.fullmatch(config.peft.target_modules, name) for name in adapted)
-    assert not any(re.fullmatch(config.peft.target_modules, name) for name in left)
-    assert {"gemma_expert", "action_in_proj", "action_out_proj"} <= set(config.peft.full_training_modules)
+    # Whole and without memory: 4 billion weights that are shapes only.
+    config.policy.device = "meta"
+    with torch.device("meta"):
+        policy = get_policy_class("pi05")(observed(config.policy))
+    assert sum(weight.numel() for weight in policy.parameters()) > 3e9
+    linear = [name for name, module in policy.named_modules() if isinstance(module, torch.nn.Linear)]
+    backbone = "model.paligemma_with_expert.paligemma."
+    left = {backbone + "lm_head", backbone + "model.multi_modal_projector.linear"}
+    adapted = {name for name in linear if re.fullmatch(config.peft.target_modules, name)}
+    assert adapted == {name for name in linear if name.startswith(backbone)} - left
+    whole = [name for name, _ in policy.named_modules() if name.split(".")[-1] in config.peft.full_training_modules]
+    assert len(whole) == len(config.peft.full_training_modules)
+    head = [name for name in linear if not name.startswith(backbone)]
+    assert all(any(name == part or name.startswith(part + ".") for part in whole) for name in head)
+
+
+def test_groots_class_is_found_and_takes_its_weights_from_the_hub(tmp_path):
+    from lerobot.policies.factory import get_policy_class
+
+    config = parsed("groot", tmp_path)
+    assert get_policy_class(config.policy.type).__name__ == "GrootPolicy"
+    assert config.policy.base_model_path == "nvidia/GR00T-N1.7-3B"
 
 
 def test_groot_leaves_vision_and_language_as_they_are(tmp_path):
