@@ -142,6 +142,9 @@ class RunSettings:
     """Of weights, order and noise."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """bfloat16 as in C.4 where there is a GPU, float32 on CPUs, which are slower with it (auto)."""
+    keep: Literal["target", "online"] = "target"
+    """Which Q validation looks at and a run keeps: the target network, an average over the last 1 / `loss.soft_update`
+    steps, or the one that steps change. Our choice: the average ranks better (docs/critic.md)."""
     device: str = "auto"
     """`cpu`, `cuda`, or the GPU where there is one."""
     log_every: int = 50
@@ -157,6 +160,7 @@ class RunSettings:
             _within(f"run.{name}", getattr(self, name), 1, math.inf)
         _within("run.patience", self.patience, 0, math.inf)
         _within("run.seed", self.seed, 0, MOST_SEED)
+        _one_of("run.keep", self.keep, ("target", "online"))
         _one_of("run.precision", self.precision, ("auto", "float32", "bfloat16"))
 
 

@@ -6,7 +6,7 @@ share a batch do what one would.
 """
 
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,7 @@ def train(
                     metrics.add(step, {f"validation/{name}": value for name, value in seen.items()})
                     metrics.flush(step)
                     if better:
-                        save_critic(critic, run, {"step": step, "validation": seen})
+                        save_critic(_kept(state, settings), run, {"step": step, "validation": seen})
                     save(state, checkpoint_folder(run, step))
                     drop_old(run)
                 team.wait()
@@ -137,6 +137,11 @@ def open_data(data: ElegantData, settings: Settings) -> ElegantData:
     return data
 
 
+def _kept(state: State, settings: Settings) -> Critic:
+    """The critic that a run is for; see `RunSettings.keep`."""
+    return replace(state.critic, q=state.target) if settings.run.keep == "target" else state.critic
+
+
 class _Looking:
     """Looks at the validation split: ranking of decided segments first, L_Bellman where that is equal, or unknown."""
 
@@ -151,7 +156,7 @@ class _Looking:
         """What was seen, and whether the critic is the best so far, which is always so without a validation split."""
         if not len(self._frames):
             return {}, True
-        critic = state.critic
+        critic = _kept(state, self._settings)
         ranking = rank(segment_scores(critic, self._data, self._cache, self._segments), self._segments)
         batch = _batch(self._data, self._cache, self._frames, critic, self._settings, self._team)
         error = bellman_error(state, batch, self._settings.loss)

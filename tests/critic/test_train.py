@@ -105,6 +105,19 @@ def test_the_greatest_seed_works_and_no_greater_one(toy):
         small(2, run={"seed": 2**32})
 
 
+@pytest.mark.parametrize(("keep", "file"), [("target", "training.safetensors"), ("online", "model.safetensors")])
+def test_a_run_keeps_the_average_of_q_or_q_itself(toy, keep, file):
+    run(toy, "run", small(2, run={"keep": keep}))
+    kept = load_file(toy.parent / "run/model.safetensors")
+    prefix = "target." if keep == "target" else "q."
+    last = load_file(checkpoints(toy.parent / "run")[0] / file)
+    assert all(
+        torch.equal(last[prefix + name.removeprefix("q.")], kept[name]) for name in kept if name.startswith("q.")
+    )
+    other = load_file(checkpoints(toy.parent / "run")[0] / "model.safetensors")
+    assert (keep == "online") == all(torch.equal(other[name], kept[name]) for name in kept)
+
+
 def test_what_is_kept_values_chunks_in_the_recordings_units(toy):
     run(toy, "run", small(2))
     critic, data = load_critic(toy.parent / "run"), read_elegant(toy)
