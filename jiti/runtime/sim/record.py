@@ -1,19 +1,10 @@
 """`jiti record`: demonstrations of one task as a folder of recordings, on all cores, going on where it was stopped."""
 
-import fcntl
 import json
-import multiprocessing
-import os
-import re
-import signal
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
-from multiprocessing.process import BaseProcess
+from functools import partial
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
@@ -32,12 +23,11 @@ from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.libero import PRIMITIVE, bddl_file, pack_folder
 from jiti.runtime.sim.record_episode import OUTCOME, record_episode
 from jiti.runtime.sim.scene import CAMERAS, CONTROL_HZ, Scene, Start
+from jiti.runtime.workers import alone, check_stop, in_processes, remove_leftovers
 from jiti.tasks.task import Task
 
 TYPICAL_STEPS = 200
 """Steps of an episode, for progress alone."""
-GRACE_S = 5.0
-"""Our choice: a step with pictures takes 0.3 s on a slow machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +130,10 @@ def record(
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file; it must be a folder, which need not exist yet.")
     make_folder(folder)
-    with _alone(folder):
+    with alone(folder, "jiti record"):
         kept = {number for number, path in enumerate(paths) if _is_kept(path, plan, number, graphics)}
         missing = [number for number in range(episodes) if number not in kept]
-        _remove_leftovers(folder, paths)
+        remove_leftovers(folder, [path.name for path in paths])
         report(0.0, graphics.message if plan.cameras else "recording without cameras")
         workers = min(workers or cores(), max(1, len(missing)))
         if workers == 1:
@@ -152,33 +142,6 @@ def record(
             _record_apart(plan, folder, missing, graphics, report, workers)
         report(1.0, f"{len(missing)} recorded, {len(kept)} kept")
     return [_recorded(path, number in kept) for number, path in enumerate(paths)]
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other runs out of a folder until the end; the system lets it go when this process ends, however it ends."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise UsageError(f"another `jiti record` is at work in {folder}. Wait for it, or pass another --out.") from None
-    try:
-        yield
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _record_here(plan: Plan, folder: Path, numbers: Sequence[int], graphics: Graphics, report: Progress) -> None:
@@ -197,71 +160,24 @@ def _record_here(plan: Plan, folder: Path, numbers: Sequence[int], graphics: Gra
 def _record_apart(
     plan: Plan, folder: Path, numbers: Sequence[int], graphics: Graphics, report: Progress, workers: int
 ) -> None:
-    """In processes of their own: MuJoCo holds the interpreter, and its renderers do not survive a fork."""
-    context = multiprocessing.get_context("spawn")
-    stop = context.Event()
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(stop,)) as pool:
-        with _ignoring_interrupts():  # which workers inherit: Ctrl-C reaches every process of a terminal
-            jobs = {pool.submit(_in_worker, plan, folder, number, graphics): number for number in numbers}
-        try:
-            for done, job in enumerate(as_completed(jobs), start=1):
-                job.result()
-                report(done / len(numbers), f"recorded {plan.path(folder, jobs[job]).name}")
-        except BrokenProcessPool as error:
-            raise UsageError(
-                "a recording process was ended from outside, perhaps for want of memory. What is finished is kept: run "
-                "the same command again, with fewer --workers."
-            ) from error
-        except BaseException:
-            stop.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            _end_soon(multiprocessing.active_children())
-            raise
+    def name(number: int) -> str:
+        return plan.path(folder, number).name
+
+    done = in_processes(partial(_in_worker, plan, folder, graphics), numbers, workers, name)
+    with closing(done):
+        for count, (number, _) in enumerate(done, start=1):
+            report(count / len(numbers), f"recorded {name(number)}")
 
 
-def _end_soon(workers: Sequence[BaseProcess]) -> None:
-    """Give each worker a moment to take its unfinished file away, and end those that build a scene meanwhile."""
-    end = time.monotonic() + GRACE_S
-    for worker in workers:
-        worker.join(max(0.0, end - time.monotonic()))
-        if worker.is_alive():
-            worker.terminate()
-
-
-class _Stopped(Exception):
-    """Ends a recording that no one waits for any more."""
-
-
-_stop: Any = None
 _scenes: dict[tuple[Plan, Graphics], Scene] = {}
 """Of a worker, which serves one plan: building a scene takes as long as an episode."""
 
 
-def _begin_worker(stop: Any) -> None:
-    global _stop
-    _stop = stop
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """When the process that asked was killed, no one takes work from this one or ends it: finish here."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        _stop.set()
-        time.sleep(GRACE_S)  # in which an episode that is being recorded takes its unfinished file away
-        os._exit(1)
-
-
-def _in_worker(plan: Plan, folder: Path, number: int, graphics: Graphics) -> None:
-    def step(_count: int) -> None:
-        if _stop.is_set():
-            raise _Stopped
-
+def _in_worker(plan: Plan, folder: Path, graphics: Graphics, number: int) -> None:
     if (plan, graphics) not in _scenes:
         scene = _scenes[plan, graphics] = plan.scene(graphics)
         Finalize(None, scene.close, exitpriority=1)  # what is registered with atexit is not called in a worker
-    _one(plan, folder, number, graphics, _scenes[plan, graphics], step)
+    _one(plan, folder, number, graphics, _scenes[plan, graphics], lambda _count: check_stop())
 
 
 def _one(
@@ -315,16 +231,6 @@ def _recorded(path: Path, kept: bool) -> Recorded:
     outcome: dict[str, Any] = json.loads(found[OUTCOME])
     cameras = tuple(found["cameras"].split())
     return Recorded(path, int(found["seed"]), outcome["steps"], outcome["success"], outcome["elegant"], cameras, kept)
-
-
-def _remove_leftovers(folder: Path, paths: Sequence[Path]) -> None:
-    """Unfinished files of runs that were killed; no run goes on in this folder now."""
-    names = {path.name for path in paths}
-    for path in folder.glob(".tmp-*.mcap"):
-        found = re.fullmatch(r"\.tmp-(\d+)-[0-9a-f]+-(.+)", path.name)
-        if found and found[2] in names:
-            with suppress(OSError):
-                path.unlink()
 
 
 def print_recorded(recorded: Sequence[Recorded], folder: Path, *, as_json: bool = False) -> None:
