@@ -543,7 +543,8 @@ def train_critic(
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the run; a run there goes on.")] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", help="TOML file of settings. Default: the paper's.")
+        Path | None,
+        typer.Option("--config", help="TOML file of settings, or `state`: minutes on two cores. Default: the paper's."),
     ] = None,
     features: Annotated[
         str | None, typer.Option("--features", help="state, or smolvla:, groot:, policy: and a folder or Hub id.")
@@ -557,7 +558,9 @@ def train_critic(
     evaluate: Annotated[
         Path | None, typer.Option("--evaluate", metavar="RUN", help="Say how well the critic of a run does.")
     ] = None,
-    split: Annotated[str | None, typer.Option("--split", help="Episodes for --evaluate. Default: test.")] = None,
+    split: Annotated[
+        str | None, typer.Option("--split", help="Episodes for --evaluate, or all. Default: test.")
+    ] = None,
     episodes: Annotated[
         list[int] | None, typer.Option("--episode", help="With --evaluate: one to show in Rerun; may be repeated.")
     ] = None,

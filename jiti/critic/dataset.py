@@ -25,6 +25,8 @@ from jiti.errors import SourceError
 
 SPLITS = (*SEEN, UNSEEN)
 """Of meta/jiti/episodes.parquet; `unseen` are episodes of tasks that no other split has."""
+ALL = "all"
+"""Every split, where one is asked for."""
 NEEDED = {
     "action": "actions",
     "next.reward": "rewards",
@@ -87,8 +89,8 @@ class ElegantData:
         return np.add.reduceat(self.annotated.astype(np.int64), self.offsets[:-1]) > 0
 
     def of_split(self, split: str) -> np.ndarray:
-        """Labelled episodes of a split, (n,) int64, ascending."""
-        return np.flatnonzero((self.split == split) & self.labelled)
+        """Labelled episodes of a split, or with `all` of all, (n,) int64, ascending."""
+        return np.flatnonzero(((self.split == split) | (split == ALL)) & self.labelled)
 
     def recordings_of(self, split: str) -> list[str]:
         """Which recordings the labelled episodes of a split come from, in order."""

@@ -16,7 +16,7 @@ import torch  # noqa: TID253  imported late, by the command
 from jiti.critic.calibration import Calibration, calibration, plot_calibration
 from jiti.critic.chunks import cut_chunks
 from jiti.critic.critic import Critic, load_critic
-from jiti.critic.dataset import SPLITS, ElegantData, read_elegant, spread
+from jiti.critic.dataset import ALL, SPLITS, ElegantData, read_elegant, spread
 from jiti.critic.features.cache import FeatureCache, feature_cache
 from jiti.critic.q_recording import write_q_recording
 from jiti.critic.ranking import (
@@ -111,7 +111,7 @@ def evaluate(
     segments = decided_segments(data, held_out)
     if not segments:
         have = ", ".join(f"{name} ({len(data.of_split(name))})" for name in SPLITS)
-        raise UsageError(f"--split {split} has no labelled episode in {data.root}. There are: {have}.")
+        raise UsageError(f"--split {split} has no labelled episode in {data.root}. There are: {have}, and {ALL}.")
     cache = feature_cache(
         data, settings.data.features, folder=features_dir, device=device, workers=workers, progress=progress
     )

@@ -12,16 +12,27 @@ from jiti.errors import UsageError
 from jiti.nearest import nearest
 from jiti.tasks.toml_lines import line_numbers, line_of
 
+RECIPES = Path(__file__).parent / "recipes"
+"""Files that come with the package, taken by their names."""
+
 
 def read_settings(path: Path | None) -> Settings:
-    """The settings of a TOML file; what it does not say is as in the paper. Raises UsageError, which names the line."""
+    """The settings of a TOML file, or of a recipe of the package by its name; what it does not say is as in the paper.
+
+    Raises UsageError, which names the line.
+    """
     if path is None:
         return Settings()
+    if not path.exists() and (recipe := RECIPES / f"{path}.toml").is_file():
+        path = recipe
     try:
         text = path.read_text("utf-8")
         content = tomllib.loads(text)
     except OSError as error:
-        raise UsageError(f"--config {path} cannot be read: {error.strerror}. Pass a TOML file.") from error
+        raise UsageError(
+            f"--config {path} cannot be read: {error.strerror}. Pass a TOML file, or the name of a recipe: "
+            f"{', '.join(sorted(file.stem for file in RECIPES.glob('*.toml')))}."
+        ) from error
     except ValueError as error:
         raise UsageError(f"--config {path} is no TOML: {error}.") from error
     lines = line_numbers(text)

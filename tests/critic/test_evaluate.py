@@ -17,6 +17,8 @@ from jiti.critic.ranking import Decided, area_under_curve, decided_segments, fra
 from jiti.critic.settings_file import settings_from
 from jiti.critic.train import train
 from jiti.errors import JitiError, UsageError
+from tests.critic.conftest import toy_episode
+from tests.critic.elegant import write_elegant
 
 TOML = """
 [network]
@@ -132,6 +134,15 @@ def test_what_was_learned_from_is_not_taken_for_held_out(toy, trained):
     with pytest.raises(UsageError, match="has 2 episodes that the critic learned from, the first recorded_0: "):
         evaluate(trained, **where)
     assert evaluate(trained, split="train", **where).episodes == 22
+    with pytest.raises(UsageError, match=r"--split all of .* has 12 episodes that the critic learned from"):
+        evaluate(trained, split="all", **where)
+
+
+def test_all_of_another_dataset_is_held_out(toy, trained):
+    rng = np.random.default_rng(9)
+    episodes = [toy_episode(rng, elegant=n % 2 == 0, task="toy/0", split="train") for n in range(4)]
+    other = write_elegant(toy.parent / "other", episodes)
+    assert evaluate(trained, other, split="all", features_dir=toy.parent / "features").episodes == 4
 
 
 def test_a_run_is_evaluated_with_its_own_discount_device_and_as_many_workers_as_asked(toy, trained, monkeypatch):

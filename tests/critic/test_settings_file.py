@@ -1,5 +1,7 @@
 """A run's TOML file: what it says is taken, what is wrong is named with its line and the nearest name."""
 
+from pathlib import Path
+
 import pytest
 
 from jiti.critic.settings import Settings
@@ -51,3 +53,15 @@ def test_what_is_wrong_is_named(tmp_path, text, message):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"nothing\.toml cannot be read"):
         read_settings(tmp_path / "nothing.toml")
+
+
+def test_a_recipe_is_taken_by_its_name():
+    made = read_settings(Path("state"))
+    assert made.data.decided_share == 0.5
+    assert "loss.td_offset" not in differences(made, Settings())
+
+
+def test_a_file_of_a_recipes_name_is_taken_before_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("state").write_text("[run]\nsteps = 7\n")
+    assert read_settings(Path("state")).run.steps == 7
