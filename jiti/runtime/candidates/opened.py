@@ -5,16 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from jiti.critic.features.opened_policy import checkpoint_folder
 from jiti.errors import UsageError
 from jiti.runtime.candidates.observation import PICTURES
 from jiti.runtime.candidates.source import KINDS
 
 if TYPE_CHECKING:
+    import torch
     from lerobot.policies.pretrained import PreTrainedPolicy
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, slots=True)
 class OpenedBase:
     """A policy with what stands before and behind it."""
 
@@ -25,10 +28,21 @@ class OpenedBase:
     """Chunks in the robot's units, on the CPU."""
     folder: Path
     """The checkpoint."""
+    prepared_for: Any = None
+    """Whose observation was preprocessed last: postprocessing may add to it, where actions are relative."""
 
     @property
     def config(self) -> Any:
         return self.policy.config
+
+    def in_units(self, chunks: "torch.Tensor") -> np.ndarray:
+        """The policy's chunks (n, K, A) in the robot's units, float32, for the observation that was prepared last."""
+        import torch
+
+        if self.config.type == "groot":
+            # It decodes chunk i relative to the state of observation i, and there is one observation.
+            return torch.cat([self.postprocess(chunk.unsqueeze(0)) for chunk in chunks]).float().cpu().numpy()
+        return self.postprocess(chunks).float().cpu().numpy()
 
     def renamed(self, batch: Mapping[str, Any]) -> dict[str, Any]:
         """What the policy looks at, by its own names: pictures in their order where none has its name.

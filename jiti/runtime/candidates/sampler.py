@@ -4,14 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jiti.critic.features.opened_policy import checkpoint_folder
 from jiti.errors import UsageError
 from jiti.runtime.candidates.observation import Observation, as_batch
 from jiti.runtime.candidates.opened import OpenedBase, open_base
-from jiti.runtime.candidates.source import KINDS, Source
+from jiti.runtime.candidates.source import KINDS, SharesFeatures, Source
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(eq=False, slots=True)
@@ -20,7 +24,8 @@ class Sampler:
 
     base: OpenedBase
     source: Source
-    _newest: "Seen | None" = field(init=False, default=None)
+    first: int | None = None
+    """Actions of a chunk that are made, its first; all where there is none. See `only`."""
 
     @property
     def noise_shape(self) -> tuple[int, int]:
@@ -30,7 +35,7 @@ class Sampler:
     @property
     def chunk(self) -> int:
         """K, actions of a chunk."""
-        return self.source.chunk
+        return min(self.first or self.source.chunk, self.source.chunk)
 
     @property
     def action(self) -> int:
@@ -41,6 +46,11 @@ class Sampler:
     def executed(self) -> int:
         """Actions of a chunk that the policy means to be executed before the next decision; at most K."""
         return min(self.base.config.n_action_steps, self.chunk)
+
+    def only(self, actions: int) -> "Sampler":
+        """The same with chunks of their first `actions` actions, which are the same numbers. Some policies (SmolVLA) do
+        not compute the others: what is executed, or valued if that is more, is enough. The noise keeps its shape."""
+        return Sampler(self.base, self.source, actions)
 
     @property
     def history(self) -> int:
@@ -79,35 +89,31 @@ class Seen:
             raise UsageError(f"noise has the shape {noise.shape}; it must be {('n', *shape)} for n chunks.")
         with torch.inference_mode():
             looked = self.looked()
-            chunks = self.sampler.source.draw(looked, torch.from_numpy(noise).to(self.sampler.base.config.device))
-            return self.sampler.base.postprocess(chunks).float().cpu().numpy()
+            given = torch.from_numpy(noise).to(self.sampler.base.config.device)
+            chunks = self.sampler.source.draw(looked, given, self.sampler.chunk)
+            return self.sampler.base.in_units(chunks[:, : self.sampler.chunk])
 
     def looked(self) -> Any:
         """What the policy makes of the observation before any noise; once."""
         import torch
 
         with torch.inference_mode():
-            if self.sampler._newest is not self or self._looked is None:
-                # Postprocessing may add to the last observation that was preprocessed (relative actions).
-                prepared = self._prepared()
-                self.sampler._newest = self
+            if self.sampler.base.prepared_for is not self or self._looked is None:
+                prepared = [self.sampler.base.preprocess(dict(batch)) for batch in self._batches]
+                self.sampler.base.prepared_for = self
                 if self._looked is None:
                     self._looked = self.sampler.source.look(prepared)
             return self._looked
 
-    def _prepared(self) -> dict[str, Any]:
-        steps = [self.sampler.base.preprocess(dict(batch)) for batch in self._batches]
-        if len(steps) == 1:
-            return steps[0]
-        import torch
-
-        newest = steps[-1]
-        return {
-            key: torch.stack([s[key] for s in steps], dim=1)
-            if isinstance(value, torch.Tensor) and key.startswith("observation.")
-            else value
-            for key, value in newest.items()
-        }
+    def features(self, name: str) -> "torch.Tensor | None":
+        """Features (1, T, D) of the extractor of a name, where they come from this policy's view of the observation."""
+        source, (kind, _, argument) = self.sampler.source, name.partition(":")
+        checkpoint, _, option = argument.partition("#")
+        if not isinstance(source, SharesFeatures) or source.features_kind != kind:
+            return None
+        if checkpoint_folder(checkpoint).resolve() != self.sampler.base.folder.resolve():
+            return None
+        return source.features(self.looked(), option)
 
 
 def open_sampler(policy: str | Path, device: str = "cpu") -> Sampler:

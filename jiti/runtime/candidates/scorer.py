@@ -36,7 +36,8 @@ class Scorer:
     def at(self, observation: Observation, instruction: str, seen: Seen | None = None) -> Score:
         """What values chunks (n, K, A) in the robot's units, of K actions or more, as (n,) float64.
 
-        Features are computed when it is first called, and once.
+        Features are computed when it is first called, and once; where they are in what the policy `seen` was asked for
+        made of the observation, they are taken from there.
         """
         features: list[Any] = []
 
@@ -45,13 +46,16 @@ class Scorer:
 
             with torch.inference_mode():
                 if not features:
-                    features.append(self._features(observation, instruction))
+                    features.append(self._features(observation, instruction, seen))
                 values = self.critic.values(features[0], chunks[None, :, : self.chunk])
                 return values.min(0).values[0].double().cpu().numpy()
 
         return score
 
-    def _features(self, observation: Observation, instruction: str) -> "torch.Tensor":
+    def _features(self, observation: Observation, instruction: str, seen: Seen | None) -> "torch.Tensor":
+        shared = seen.features(self.features) if seen is not None else None
+        if shared is not None:
+            return shared
         extractor = self.extractor(observation)
         return extractor.features(as_batch(observation, instruction))
 
@@ -102,4 +106,4 @@ def check_pair(sampler: Sampler, scorer: Scorer, observation: Observation | None
             "Both must be of one robot."
         )
     if observation is not None:
-        scorer.extractor(observation)
+        scorer.at(observation, "", sampler.observe(observation, ""))(np.zeros((1, scorer.chunk, sampler.action)))

@@ -15,10 +15,10 @@ class StateFlowSource:
         self.chunk: int = policy.config.chunk_size
         self.noise_shape = (self.chunk, policy.config.action_feature.shape[0])
 
-    def look(self, prepared: dict[str, Any]) -> dict[str, Any]:
-        return prepared
+    def look(self, prepared: list[dict[str, Any]]) -> dict[str, Any]:
+        return prepared[-1]
 
-    def draw(self, looked: dict[str, Any], noise: torch.Tensor) -> torch.Tensor:
+    def draw(self, looked: dict[str, Any], noise: torch.Tensor, actions: int) -> torch.Tensor:
         return self._policy.predict_action_chunk(looked, noise.unsqueeze(0))[0]
 
 
