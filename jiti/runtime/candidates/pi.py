@@ -5,12 +5,16 @@ actions; pi0.5 has it among the words.
 """
 
 from dataclasses import dataclass
+from importlib.metadata import version
+from inspect import signature
 from typing import Any
 
 import torch  # noqa: TID253 - imported when a policy is opened
 from lerobot.policies.common.flow_matching import euler_integrate  # noqa: TID253
 from lerobot.policies.common.vla_utils import make_att_2d_masks, prepare_attention_masks_4d  # noqa: TID253
 from torch import Tensor  # noqa: TID253
+
+from jiti.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,4 +81,13 @@ def _repeated(cache: Any, n: int) -> Any:
 
 
 def open_source(policy: Any) -> PiSource:
+    """Raises UsageError with a transformers that lerobot's pi0 and pi0.5 do not run with."""
+    from lerobot.policies import pi_gemma
+
+    # lerobot 0.6.1 passes what later versions no longer take.
+    if "cache_position" not in signature(pi_gemma.create_causal_mask).parameters:
+        raise UsageError(
+            f"lerobot {version('lerobot')} does not run {policy.config.type} with transformers "
+            f"{version('transformers')}. It asks for one below 5.6: pip install 'lerobot[pi]'."
+        )
     return PiSource(policy)

@@ -103,8 +103,8 @@ class SmolVLASource:
                 inputs_embeds=[None, embedded.reshape(1, n * k, -1)],
                 use_cache=True,
             )
-            # Layers with self-attention put what they got behind the prefix. lerobot 0.6.1 takes it off by `crop`, which
-            # transformers 5.6 and later refuse in that form.
+            # Layers with self-attention put what they got behind the prefix. lerobot 0.6.1 takes it off by `crop` with
+            # the length that is left, which transformers 5.24 refuses.
             for layer, (keys, values) in zip(looked.cache.layers, kept, strict=True):
                 layer.keys, layer.values = keys, values
             return self._model.action_out_proj(out.float()).reshape(n, k, -1)
