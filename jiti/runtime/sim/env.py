@@ -65,7 +65,7 @@ class ElegantEnv(gym.Env):
         self.most_steps = max_episode_steps or MOST_STEPS
         self.scene = Scene(self.task, assets=assets, graphics=graphics, cameras=cameras, picture_size=picture_size)
         self._graphics = graphics
-        self._monitor = Monitor(self.scene)
+        self.monitor = Monitor(self.scene)
         self.environment_state_names = scene_state_names()
         self._order = scene_order(self.scene)
         room: dict[str, spaces.Space] = {
@@ -90,7 +90,7 @@ class ElegantEnv(gym.Env):
         super().reset(seed=seed)
         seed = int(self.np_random.integers(1 << 31)) if seed is None else seed
         self.scene.reset(seed, (options or {}).get("start", self._start))
-        self._monitor.begin()
+        self.monitor.begin()
         self._steps = self._settled = 0
         return self._observe(), {"is_success": False, "seed": seed}
 
@@ -100,16 +100,16 @@ class ElegantEnv(gym.Env):
         if action.shape != (7,):
             raise UsageError(f"an action has 7 numbers and this one has the shape {action.shape}")
         self.scene.step(np.clip(action, -1, 1))
-        self._monitor.look()
+        self.monitor.look()
         self._steps += 1
-        success = self._monitor.success
+        success = self.monitor.success
         self._settled = self._settled + 1 if success and not self._touched() else 0
         terminated = self._settled >= SETTLED_STEPS
         truncated = not terminated and self._steps >= self.most_steps
         info: dict[str, Any] = {"is_success": success}
         reward = 0.0
         if terminated or truncated:
-            outcome = self._monitor.outcome()
+            outcome = self.monitor.outcome()
             reward = float(outcome.elegant)
             info |= {"is_elegant": outcome.elegant, "itcs": outcome.to_json()["itcs"]}
         return self._observe(), reward, terminated, truncated, info

@@ -73,6 +73,12 @@ def pack_folder(assets: Path | str | None) -> Path | None:
     return folder
 
 
+def pack_name(assets: Path | str | None) -> str:
+    """Of an asset pack; of a folder its own name, so that no path of this machine gets into a recording."""
+    folder = pack_folder(assets)
+    return "libero" if folder is None else "primitive" if folder == PRIMITIVE else f"{folder.name}/"
+
+
 def bddl_file(name: str) -> Path:
     """LIBERO's problem file of a task, by `suite/name`. Raises UsageError when it is not installed."""
     return _shipped("bddl_files", f"{name}.bddl")

@@ -20,7 +20,7 @@ from jiti.progress import Progress
 from jiti.runtime.sim.demonstrators import expert_for
 from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.gl import Graphics, find_graphics
-from jiti.runtime.sim.libero import PRIMITIVE, bddl_file, pack_folder
+from jiti.runtime.sim.libero import bddl_file, pack_folder, pack_name
 from jiti.runtime.sim.record_episode import OUTCOME, record_episode
 from jiti.runtime.sim.scene import CAMERAS, CONTROL_HZ, Scene, Start
 from jiti.runtime.workers import alone, check_stop, in_processes, remove_leftovers
@@ -73,18 +73,12 @@ class Plan:
             "seed": str(self.seed + number),
             "quality": f"{self.quality:g}",
             "start": self.start,
-            "assets": self.pack_name,
+            "assets": pack_name(self.assets),
             "cameras": " ".join(self.cameras if graphics.backend else ()),
             "picture_size": str(self.picture_size),
             "rate_hz": str(CONTROL_HZ),
             "goals": " ".join(itc.goal for itc in self.task.itcs),
         }
-
-    @property
-    def pack_name(self) -> str:
-        """Of the asset pack; of a folder its own name, so that no path of this machine gets into a recording."""
-        folder = pack_folder(self.assets)
-        return "libero" if folder is None else "primitive" if folder == PRIMITIVE else f"{folder.name}/"
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,19 +45,40 @@ def record_episode(
     with McapWriter(path, instruction=scene.task.instruction, metadata=about) as writer:
 
         def watch(step: int, action: np.ndarray | None) -> None:
-            _write(writer, START_NS + step * STEP_NS, scene, monitor, action)
+            write_step(writer, step, scene, monitor, action)
             progress(step)
 
         outcome = run_episode(monitor, actor, scene.step, watch)
-        writer.write_metadata(METADATA_NAME, {OUTCOME: json.dumps(outcome.to_json()), "steps": str(outcome.steps)})
+        write_outcome(writer, outcome)
     return outcome
 
 
-def _write(writer: McapWriter, time_ns: int, scene: Scene, monitor: Monitor, action: np.ndarray | None) -> None:
-    """One step: what was seen, and the action that was then taken; the last step has none."""
-    world = scene.world
+def write_outcome(writer: McapWriter, outcome: Outcome) -> None:
+    """How the episode ended, as metadata."""
+    writer.write_metadata(METADATA_NAME, {OUTCOME: json.dumps(outcome.to_json()), "steps": str(outcome.steps)})
+
+
+def time_of_step(step: int) -> int:
+    """Log time in nanoseconds of a step, from 0."""
+    return START_NS + step * STEP_NS
+
+
+def write_step(
+    writer: McapWriter,
+    step: int,
+    scene: Scene,
+    monitor: Monitor,
+    action: np.ndarray | None,
+    pictures: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """One step: what was seen, and the action that was then taken; the last step has none.
+
+    `pictures` (height, width, 3) uint8 by camera, where they were rendered already.
+    """
+    world, time_ns = scene.world, time_of_step(step)
     for camera in scene.cameras:
-        writer.write_picture(f"/camera/{camera}", time_ns, jpeg(scene.render(camera)), frame_id=camera)
+        picture = scene.render(camera) if pictures is None else pictures[camera]
+        writer.write_picture(f"/camera/{camera}", time_ns, jpeg(picture), frame_id=camera)
     fingers = scene.finger_m
     writer.write_joints("/joint_states", time_ns, [*ARM_JOINTS, *FINGER_JOINTS], [*scene.joint_rad, *fingers])
     writer.write_vector("/joint_velocities", time_ns, ARM_JOINTS, scene.joint_rad_s)
