@@ -13,12 +13,15 @@ from jiti.episodes.summary_cache import Summary, SummaryCache
 from jiti.errors import SourceError
 
 LABELS_FOLDER = "labels"
+ROLLOUTS_FILE, ROLLOUTS_FORMAT = "plan.json", "jiti rollout"
+"""The file by which a folder of rollouts is known, and what its first line says."""
 
 
 class FolderReader:
     """All MCAP files in a folder and below it, in natural order (`pick2` before `pick10`).
 
-    Hidden folders, folders of labels and links to folders are not entered. The listing opens no recording: frame counts
+    Hidden folders, folders of labels, of rollouts and links to folders are not entered: what a policy did is no
+    demonstration. A folder of rollouts that is opened itself is read. The listing opens no recording: frame counts
     and tasks come from the cache of those that were open before.
     """
 
@@ -30,6 +33,7 @@ class FolderReader:
         self.problems: Sequence[Problem] = self._problems
         self._cache = SummaryCache(self.root)
         self._paths: dict[str, Path] = {}
+        self._rollouts: list[str] = []
         other: Counter[str] = Counter()
         for path in self._files():
             if path.suffix == SUFFIX:
@@ -70,6 +74,9 @@ class FolderReader:
         found = []
         for folder, names, files in os.walk(self.root, onerror=self._unreadable):
             names[:] = [n for n in names if not n.startswith(".") and n != LABELS_FOLDER and not n.endswith(".labels")]
+            inside = [n for n in names if is_rollouts(Path(folder, n))]
+            self._rollouts += [Path(folder, n).relative_to(self.root).as_posix() for n in inside]
+            names[:] = [n for n in names if n not in inside]
             found += [Path(folder, name) for name in files if not name.startswith(".")]
         return sorted(found, key=lambda path: natural_key(self._inside(path)))
 
@@ -104,6 +111,8 @@ class FolderReader:
             return SourceError(f"{looked} It has {len(self._refs)} MCAP files; the first: {first}")
         found = ", ".join(f"{count} {suffix}" for suffix, count in other.most_common(6)) or "nothing"
         what = f"{looked} Looked for MCAP files (*.mcap) here and below, and for a LeRobot dataset (meta/info.json)"
+        if self._rollouts:
+            return SourceError(f"{what}; found rollouts in {', '.join(self._rollouts[:5])}. Open one of them.")
         if datasets := self._datasets():
             names = ", ".join(datasets[:5])
             return SourceError(f"{what}; found LeRobot datasets in {names}. Open one of them.")
@@ -117,6 +126,15 @@ class FolderReader:
         """LeRobot datasets one or two folders down."""
         found = [*self.root.glob("*/meta/info.json"), *self.root.glob("*/*/meta/info.json")]
         return sorted(path.parent.parent.relative_to(self.root).as_posix() for path in found)
+
+
+def is_rollouts(folder: Path) -> bool:
+    """Whether `jiti rollout` wrote into a folder."""
+    try:
+        with (folder / ROLLOUTS_FILE).open("rb") as file:
+            return f'"format": "{ROLLOUTS_FORMAT}"'.encode() in file.read(64)
+    except OSError:
+        return False
 
 
 def natural_key(text: str) -> list[tuple[int, int, str]]:

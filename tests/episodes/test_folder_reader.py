@@ -234,3 +234,14 @@ def test_numbers_in_names_are_ordered_as_numbers(names: list[tuple[str, int, str
     for head, number, tail in names:
         smaller, larger = f"{head}x{number}y{tail}", f"{head}x{number + 1}y{tail}"
         assert natural_key(smaller) < natural_key(larger)
+
+
+def test_rollouts_are_no_demonstrations_unless_they_are_opened_themselves(folder: Path) -> None:
+    (folder / "day 2" / "plan.json").write_text('{\n  "format": "jiti rollout",\n  "runs": []\n}')
+    (folder / "day 10" / "plan.json").write_text('{"format": "someone else\'s"}')
+    assert [ref.title for ref in FolderReader(folder).episodes()] == ["day 10/a.mcap", "pick2.mcap", "pick10.mcap"]
+    assert [ref.title for ref in FolderReader(folder / "day 2").episodes()] == ["a.mcap"]
+    for path in (folder / "day 10" / "a.mcap", folder / "pick2.mcap", folder / "pick10.mcap"):
+        path.unlink()
+    with pytest.raises(SourceError, match="found rollouts in day 2"):
+        FolderReader(folder)
