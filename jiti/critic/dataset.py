@@ -144,6 +144,15 @@ def read_elegant(root: Path) -> ElegantData:
     )
 
 
+def with_success_rewards(data: ElegantData) -> ElegantData:
+    """The same frames with the main paper's sparse label: r = 1 at the last frame of an episode whose recorder saw it
+    succeed, and else 0; the last frame is then what is annotated. Raises SourceError without `next.success`."""
+    success = state_columns(data.root, ("next.success",))["next.success"][:, 0] > 0
+    ends = np.zeros(data.frames, bool)
+    ends[data.offsets[1:][data.labelled] - 1] = True
+    return replace(data, annotated=ends).with_rewards((ends & success).astype(np.float32), data.gamma)
+
+
 def spread(frames: np.ndarray, most: int) -> np.ndarray:
     """All of frames (n,), or `most` of them from the first to the last, equally far apart."""
     return frames[np.linspace(0, len(frames) - 1, min(len(frames), most)).astype(np.int64)]

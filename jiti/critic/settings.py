@@ -21,12 +21,16 @@ class DataSettings:
     decided_share: float = 0.0
     """Share of a batch that is taken from the frames whose chunks reach into a decided segment, the rest is from all
     frames. 0: every frame as often as another, as the paper seems to. Decided segments are a tenth of the frames."""
+    rewards: Literal["segments", "success"] = "segments"
+    """What r_t is: the labelled segments', or the paper's ablation, a sparse label of 1 at the last frame of an episode
+    that succeeded. With it, the last frame is the only one that decides anything."""
     shuffle_labels: bool = False
     """Verdicts are dealt anew among the decided segments of each task: a control that must not learn to rank."""
 
     def __post_init__(self) -> None:
         _within("data.gamma", self.gamma, 0, 1)
         _within("data.decided_share", self.decided_share, 0, 1)
+        _one_of("data.rewards", self.rewards, ("segments", "success"))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import jiti
 from jiti.critic.checkpoint import checkpoint_folder, drop_old, load, save
 from jiti.critic.chunks import BatchOrder, action_range, cut_chunks, reaching_frames
 from jiti.critic.critic import Critic, Sizes, make_critic, save_critic, saved_limits
-from jiti.critic.dataset import ElegantData, read_elegant, spread
+from jiti.critic.dataset import ElegantData, read_elegant, spread, with_success_rewards
 from jiti.critic.features.cache import FeatureCache, feature_cache
 from jiti.critic.metrics import Metrics
 from jiti.critic.ranking import decided_segments, rank, segment_scores, shuffled_rewards
@@ -81,7 +81,7 @@ def train(
     begun = begun_run(run, settings)
     data = open_data(data or read_elegant(dataset), settings)
     teaching, checking = data.of_split("train"), data.of_split("validation")
-    _check(data, teaching)
+    _check(data, teaching, settings)
     cache = _features(data, settings, features_dir, workers, team, progress)
 
     about = _about(data, cache, settings)
@@ -130,8 +130,10 @@ def train(
 
 
 def open_data(data: ElegantData, settings: Settings) -> ElegantData:
-    """The data with the discount of the settings, and with verdicts dealt anew where they say so."""
+    """The data with discount and rewards of the settings, and with verdicts dealt anew where they say so."""
     data = data.with_gamma(settings.data.gamma)
+    if settings.data.rewards == "success":
+        data = with_success_rewards(data)
     if settings.data.shuffle_labels:
         return data.with_rewards(shuffled_rewards(data, settings.run.seed), data.gamma)
     return data
@@ -203,14 +205,15 @@ def _features(
     return get(1)
 
 
-def _check(data: ElegantData, episodes: np.ndarray) -> None:
+def _check(data: ElegantData, episodes: np.ndarray, settings: Settings) -> None:
     if not len(episodes):
         raise SourceError(
             f"{data.root}: no labelled episode is in split train; there are "
             f"{int(data.labelled.sum())} labelled of {data.episodes} episodes. Run `jiti curate` with other splits."
         )
     kinds = {segment.elegant for segment in decided_segments(data, episodes)}
-    if len(kinds) == 1:
+    # Of a sparse label that is no mistake: where all succeeded, it says how far the end is.
+    if len(kinds) == 1 and settings.data.rewards == "segments":
         word = "satisfied" if kinds.pop() else "violated"
         raise SourceError(
             f"{data.root}: every decided segment of split train is {word}, so there is nothing to tell apart. "

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jiti.critic.dataset import read_elegant, spread, state_columns
+from jiti.critic.dataset import read_elegant, spread, state_columns, with_success_rewards
 from jiti.errors import SourceError
 
 
@@ -35,6 +35,20 @@ def test_other_rewards_have_other_returns(toy):
     other = data.with_rewards(np.ones(data.frames), 0.5)
     assert other.mc_return[data.offsets[1:] - 1].tolist() == [1.0] * data.episodes
     np.testing.assert_allclose(other.mc_return[data.offsets[1:] - 2], 1.5)
+
+
+def test_a_sparse_label_is_one_at_the_end_of_episodes_that_succeeded(toy):
+    data = read_elegant(toy)
+    path = toy / "data/chunk-000/file-000.parquet"
+    table = pq.read_table(path)
+    wins = np.zeros(data.frames, bool)
+    wins[data.offsets[1:][::2] - 1] = True
+    pq.write_table(table.append_column("next.success", pa.array(wins)), path)
+    sparse = with_success_rewards(data)
+    assert np.array_equal(sparse.reward > 0, wins)
+    assert np.flatnonzero(sparse.annotated).tolist() == (data.offsets[1:][data.labelled] - 1).tolist()
+    assert sparse.mc_return[data.offsets[1] - 3] == pytest.approx(data.gamma**2)
+    assert sparse.labelled.tolist() == data.labelled.tolist()
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 15, 100])
