@@ -1,0 +1,140 @@
+"""`plan.json`: what the rollouts of a folder have in common, what each guidance does, and the runs that played them."""
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from jiti import __version__
+from jiti.durable import write_atomic
+from jiti.episodes.folder_reader import ROLLOUTS_FILE, ROLLOUTS_FORMAT, is_rollouts
+from jiti.errors import SourceError, UsageError
+from jiti.runtime.rollout.plan import RolloutPlan, label_of, settings_of
+
+PACKAGES = ("lerobot", "torch", "mujoco", "robosuite", "hf-libero", "numpy")
+"""Whose versions may change a number."""
+_WEIGHTS = ("*.json", "*.safetensors")
+_OF_TRAINING = frozenset({"train_config.json", "tau.json"})
+"""Files beside the weights that nothing depends on here."""
+
+
+def fingerprint(folder: Path) -> str:
+    """Hex digest of a policy's or critic's configuration and weights, whatever its place."""
+    digest = hashlib.sha256()
+    for path in sorted(p for pattern in _WEIGHTS for p in folder.glob(pattern)):
+        if path.name not in _OF_TRAINING:
+            digest.update(f"{path.name}\0".encode())
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()[:16]
+
+
+def policy_folder(policy: str) -> Path:
+    """Where a policy's files are here; a Hub id's are fetched. Raises UsageError."""
+    from jiti.critic.features.opened_policy import checkpoint_folder
+
+    return checkpoint_folder(policy)
+
+
+def critic_folder(critic: str) -> Path:
+    """Where a critic's files are here; a Hub id's are fetched. Raises SourceError."""
+    if Path(critic).expanduser().is_dir():
+        folder = Path(critic).expanduser()
+    else:
+        try:
+            folder = policy_folder(critic)
+        except UsageError as error:
+            raise SourceError(str(error)) from error
+    if not (folder / "config.json").is_file():
+        raise SourceError(
+            f"{folder} is no critic: it has no config.json. Train one with `jiti train-critic DATASET --out RUN`."
+        )
+    return folder
+
+
+def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
+    """Write the plan into its folder, beside what was played there before; give the file's content.
+
+    Raises UsageError that names what differs from the rollouts that are there.
+    """
+    policy = fingerprint(policy_folder(plan.policy))
+    critic = fingerprint(critic_folder(plan.critic)) if plan.critic is not None else None
+    shared = {**plan.shared(), "policy": policy}
+    methods = {label_of(guidance): settings_of(guidance, critic) for guidance in plan.guidances}
+    path = folder / ROLLOUTS_FILE
+    before: dict[str, Any] = {}
+    if path.exists():
+        before = read_plan(folder)
+        known = {label: before["methods"][label] for label in methods if label in before["methods"]}
+        there = {**before["shared"], **_flat(known)}
+        wanted = {**shared, **_flat({label: methods[label] for label in known})}
+        differs = [
+            f"{key} {there.get(key)!r} and not {value!r}" for key, value in wanted.items() if there.get(key) != value
+        ]
+        if differs:
+            raise UsageError(
+                f"{folder} holds rollouts with {', '.join(differs)}. Choose another folder with --out, or delete that "
+                "one."
+            )
+    content = {
+        "format": ROLLOUTS_FORMAT,
+        "shared": shared,
+        "methods": {**before.get("methods", {}), **methods},
+        "sources": {"policy": plan.policy, "critic": plan.critic},
+        "runs": [*before.get("runs", ()), _this_run(plan)],
+    }
+    write_atomic(path, json.dumps(content, indent=2).encode())
+    return content
+
+
+def read_plan(folder: Path) -> dict[str, Any]:
+    """Raises SourceError for a folder of something else."""
+    try:
+        if not is_rollouts(folder):
+            raise ValueError("it was not written by jiti rollout")
+        content = json.loads((folder / ROLLOUTS_FILE).read_bytes())
+        if missing := {"shared", "methods", "runs"} - content.keys():
+            raise ValueError(f"it lacks {', '.join(sorted(missing))}")
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{folder / ROLLOUTS_FILE}: {error}. Choose another folder with --out.") from error
+    return content
+
+
+def _flat(methods: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {f"{label} {key}": value for label, settings in methods.items() for key, value in settings.items()}
+
+
+def _this_run(plan: RolloutPlan) -> dict[str, Any]:
+    return {
+        "began": datetime.now(UTC).isoformat(timespec="seconds"),
+        "device": plan.device,
+        "hardware": hardware(),
+        "versions": versions(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of jiti, Python and the packages that a rollout depends on, those that are installed."""
+    found = {"jiti": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def hardware() -> dict[str, Any]:
+    """Processor and cores that this process may use."""
+    name = platform.processor() or platform.machine()
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        lines = information.read_text().splitlines()
+        name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return {"processor": name, "cores": cores, "system": platform.system()}
