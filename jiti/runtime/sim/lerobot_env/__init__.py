@@ -17,6 +17,7 @@ from lerobot.configs.types import FeatureType, PolicyFeature  # noqa: TID253 - t
 from lerobot.envs.configs import EnvConfig  # noqa: TID253
 
 from jiti.runtime.sim.env import ElegantEnv
+from jiti.runtime.sim.gl import find_graphics
 from jiti.runtime.sim.scene import CONTROL_HZ, PICTURE_SIZE, Start
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.scene_state import scene_state_names
@@ -102,6 +103,8 @@ class LeRobotEnv(gym.Wrapper):
     """
 
     def __init__(self, task_id: str, *, pixels: bool, start: Start = "jitter", **options: Any) -> None:
+        # lerobot-eval makes videos of ten episodes, whatever the policy sees.
+        options.setdefault("graphics", find_graphics())
         env = ElegantEnv(task_id, cameras=tuple(PICTURES) if pixels else (), start=start, **options)
         super().__init__(env)
         self._elegant = env
