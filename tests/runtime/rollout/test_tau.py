@@ -26,9 +26,8 @@ FOUND = Calibration(0.5, 0.3, 5, "p", "c", ("elegant/T2",), "jitter", "primitive
 
 @pytest.mark.sim
 def test_it_is_the_jump_that_the_wished_share_of_unguided_decisions_exceeds(plan, tmp_path):
-    found = calibrate(
-        [replace(plan, seed=50)], tmp_path, rate=0.4, window=2, episodes=4, workers=1, make_agent=wandering
-    )
+    apart = replace(plan, seed=50)
+    found = calibrate([apart], tmp_path, rate=0.4, window=2, episodes=4, workers=1, make_agent=wandering)
     assert (found.window, found.seeds, found.episodes, found.decisions) == (2, (50, 54), 4, 20)
     played = all_rollouts(tmp_path / "elegant-T2")
     jumps = np.array([c.delta_q for r in played for c in r.choices])
