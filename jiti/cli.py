@@ -62,6 +62,15 @@ class Start(StrEnum):
     sampled = "sampled"
 
 
+class PickRank(StrEnum):
+    """Which candidate is taken, by the critic's value."""
+
+    best = "best"
+    median = "median"
+    worst = "worst"
+    random = "random"
+
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -578,6 +587,116 @@ def train_critic(
     with _progress("Evaluating" if evaluate else "Training") as progress:
         done = evaluate_request(request, progress) if evaluate else train_request(request, progress)
     print(done.to_json() if as_json else done)
+
+
+@app.command(short_help="Play a policy in simulation, alone and guided by a critic.")
+def rollout(
+    task: Annotated[
+        str | None, typer.Option("--task", help="A task of simulation. Default: the newest recording's here.")
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option("--policy", help="A checkpoint or run of lerobot-train, or Hub id. Default: the newest."),
+    ] = None,
+    critic: Annotated[
+        str | None, typer.Option("--critic", help="A run of train-critic, or Hub id. Default: the newest here.")
+    ] = None,
+    guidance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--guidance",
+            metavar="METHOD[:PICK]",
+            help="none, jiti or full; jiti:random picks so. Repeated, they are compared. Default: none and jiti.",
+        ),
+    ] = None,
+    pick: Annotated[PickRank, typer.Option("--pick", help="Of the candidates, by the critic's value.")] = PickRank.best,
+    candidates: Annotated[int, typer.Option("--candidates", min=1, help="N, the default chunk among them.")] = 8,
+    window: Annotated[int, typer.Option("--window", min=1, help="k, values in the mean that a jump is from.")] = 5,
+    tau: Annotated[
+        float | None, typer.Option("--tau", min=0.0, help="Threshold of a jump. Default: as it was calibrated.")
+    ] = None,
+    tau_scale: Annotated[float, typer.Option("--tau-scale", help="Multiple of tau that is applied.")] = 1.0,
+    calibrate_tau: Annotated[
+        float | None,
+        typer.Option("--calibrate-tau", metavar="RATE", help="Only find the tau at which this share triggers."),
+    ] = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option("--episodes", min=1, show_default=False, help="For each guidance. Default: 50; to calibrate 20."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            "--seed", min=0, show_default=False, help="Of the first episode. Default: 100000; to calibrate 200000."
+        ),
+    ] = None,
+    start: Annotated[
+        Start, typer.Option("--start", help="LIBERO's initial states, moved a little or as they are, or drawn anew.")
+    ] = Start.jitter,
+    assets: Assets = None,
+    cameras: Annotated[
+        str | None, typer.Option("--cameras", help="front,wrist or none. Default: none, unless the policy looks.")
+    ] = None,
+    max_steps: Annotated[int, typer.Option("--max-steps", min=1, help="Steps at which an episode is cut off.")] = 600,
+    device: Annotated[str, typer.Option("--device", help="Of policy and critic: cpu, cuda.")] = "cpu",
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes. Default: one a core.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the rollouts. Default: rollouts/TASK.")] = None,
+    record: Annotated[bool, typer.Option("--record/--no-record", help="Write each episode to MCAP.")] = True,
+    branch: Annotated[
+        str | None,
+        typer.Option("--branch", metavar="PICKS", help="Continue one episode in several ways: best,median,worst."),
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="Show episodes in Rerun while they are played.")] = False,
+    tasks: Tasks = None,
+    as_json: Json = False,
+) -> None:
+    """Play a policy in simulation, alone and guided by a critic, from the same initial states, and compare.
+
+    Without options it takes the newest policy, critic and recorded task here, and says which. A stopped run goes on.
+
+    Example: jiti rollout --task elegant/T2 --policy policy --critic critic --guidance none --guidance jiti
+    """
+    from jiti.runtime.sim.engine import find_robosuite
+    from jiti.tasks.catalogue import load_catalogue
+
+    find_robosuite()
+    from jiti.runtime.rollout.command import Request, names, run_request
+
+    request = Request(
+        task=task,
+        policy=policy,
+        critic=critic,
+        guidance=tuple(guidance or ()),
+        pick=pick.value,
+        candidates=candidates,
+        window=window,
+        tau=tau,
+        tau_scale=tau_scale,
+        calibrate_tau=calibrate_tau,
+        episodes=episodes,
+        seed=seed,
+        start=start.value,
+        assets=assets,
+        cameras=None if cameras is None else names(cameras),
+        most_steps=max_steps,
+        device=device,
+        workers=workers,
+        out=out,
+        record=record,
+        branch=names(branch or "none"),
+        live=live,
+    )
+    catalogue = load_catalogue(*tasks or ())
+    with _progress("Playing") as progress:
+        try:
+            done = run_request(request, catalogue, progress, lambda said: print(said, file=sys.stderr))
+        except KeyboardInterrupt:
+            print("Stopped. Whole episodes are kept; the same command goes on there.", file=sys.stderr)
+            raise
+    if as_json:
+        print(done.to_json())
+    else:
+        done.print()
 
 
 @contextmanager
