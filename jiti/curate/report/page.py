@@ -72,11 +72,15 @@ def page(facts: Facts) -> str:
             ("How it was made", _made(facts)),
         )
     )
+    return document(f"{facts.name}: report", f"<h1>{escape(facts.name)}</h1>\n{_numbers(facts)}\n{sections}")
+
+
+def document(title: str, body: str, style: str = STYLE) -> str:
+    """A page of its own."""
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(facts.name)}: report</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{escape(facts.name)}</h1>\n{_numbers(facts)}\n{sections}\n</body>\n</html>\n"
+        f"<title>{escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
     )
 
 
@@ -108,7 +112,7 @@ def _tasks(facts: Facts) -> Iterator[str]:
         elegant = sum(bool(episode.elegant) for episode in here)
         seconds = np.mean([episode.frames for episode in here]) / facts.fps
         rows.append((task, len(here), elegant, f"{seconds:.1f}", *(splits[name] for name in names)))
-    yield _table(("task", "episodes", "elegant", "mean s", *names), rows, numbers=range(1, 4 + len(names)))
+    yield table(("task", "episodes", "elegant", "mean s", *names), rows, numbers=range(1, 4 + len(names)))
 
 
 def _constraints(facts: Facts) -> Iterator[str]:
@@ -171,7 +175,7 @@ def _agreement(facts: Facts) -> Iterator[str]:
         return
     yield "<p>IoU over matched segments, Cohen's kappa over frames, and the share of equal verdicts.</p>"
     heading = ("annotators", "constraint", "episodes", "matched", "IoU", "kappa", "verdicts")
-    yield _table(heading, rows, numbers=range(2, 7))
+    yield table(heading, rows, numbers=range(2, 7))
 
 
 def _suspects(facts: Facts) -> Iterator[str]:
@@ -185,7 +189,7 @@ def _suspects(facts: Facts) -> Iterator[str]:
         place = ", ".join(filter(None, (one.episode_id, f"frame {one.start_frame}" if one.episode_id else "")))
         what = f"{one.message}. {one.remedy}"
         rows.append((one.severity, one.kind.replace("_", " "), place, one.itc_id, what))
-    yield _table(("", "kind", "where", "constraint", "what"), rows)
+    yield table(("", "kind", "where", "constraint", "what"), rows)
     if len(facts.suspects) > SUSPECTS:
         yield f"<p>{len(facts.suspects) - SUSPECTS} more: jiti validate-rewards --check --json lists all.</p>"
 
@@ -201,7 +205,7 @@ def _made(facts: Facts) -> Iterator[str]:
         ("digest of all inputs", about["digest"]),
         ("versions", ", ".join(f"{name} {version}" for name, version in about["versions"].items())),
     ]
-    yield _table(("", ""), rows)
+    yield table(("", ""), rows)
 
 
 def _by_verdict(episodes: Sequence[EpisodeFacts], value: Any) -> Series:
@@ -216,7 +220,9 @@ def _pair(*charts: tuple[str, str]) -> str:
     )
 
 
-def _table(heading: Sequence[str], rows: Sequence[Sequence[Any]], *, numbers: Sequence[int] = ()) -> str:
+def table(heading: Sequence[str], rows: Sequence[Sequence[Any]], *, numbers: Sequence[int] = ()) -> str:
+    """Rows under a heading, which is left out where all of it is empty; columns of `numbers` stand at the right."""
+
     def cell(tag: str, column: int, value: Any) -> str:
         kinds = [*(["n"] if column in numbers else []), *(["error"] if value == "error" else [])]
         marked = f' class="{" ".join(kinds)}"' if kinds else ""

@@ -1,0 +1,227 @@
+"""Cells of a table, read from `rollouts.parquet`, and what is computed of them: rates, intervals, paired tests."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jiti.errors import SourceError
+from jiti.runtime.benchmark.plan import Column
+from jiti.runtime.benchmark.stages import Stage
+from jiti.runtime.rollout.result import ROLLOUTS
+from jiti.runtime.rollout.summary import Rate, bootstrap_interval
+
+_COLUMNS = ["label", "seed", "success", "elegant", "steps", "decisions", "interventions", "problems"]
+_TIMES = ["observe_s", "sample_s", "score_s", "wall_s"]
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A column on one task with one trained policy, and where its rollouts are."""
+
+    column: Column
+    task: str
+    seed: int
+    """Of the policy's training."""
+    stage: Stage
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class One:
+    """One rollout."""
+
+    task: str
+    training: int
+    """Seed of the policy's training."""
+    seed: int
+    """Of the initial state and of the noise."""
+    success: bool
+    elegant: bool
+    actions: int
+    decisions: int
+    interventions: int
+    problems: int
+    decided_s: float
+    """Seconds that policy and critic took."""
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class Results:
+    """Whole cells by column, task and training seed; one that lacks a rollout is not among them."""
+
+    cells: Mapping[tuple[str, str, int], Sequence[One]]
+    wanted: Sequence[tuple[str, str, int]]
+    """All that the plan has."""
+    partial: Mapping[tuple[str, str, int], int]
+    """Rollouts of those that are not whole."""
+    episodes: int
+    """Of a cell."""
+
+    def missing(self, column: str | None = None) -> list[tuple[str, str, int]]:
+        """Cells that are not there, of one column or of all."""
+        return [key for key in self.wanted if key not in self.cells and column in (None, key[0])]
+
+    def of(self, column: Column, tasks: Iterable[str]) -> list[One] | None:
+        """All rollouts of a column on some tasks, of all its training seeds; None where a cell is missing."""
+        found: list[One] = []
+        for task in tasks:
+            for seed in column.seeds:
+                cell = self.cells.get((column.name, task, seed))
+                if cell is None:
+                    return None
+                found += cell
+        return found or None
+
+
+def read_cells(cells: Sequence[Cell], folders: Mapping[str, Path], *, first: int, episodes: int) -> Results:
+    """The rollouts with seeds `first` to `first + episodes - 1` of each cell. `folders` are by the key of the stage.
+
+    Raises SourceError for a table that cannot be read, or that has a rollout twice.
+    """
+    tables: dict[str, pa.Table | None] = {}
+    whole: dict[tuple[str, str, int], list[One]] = {}
+    partial: dict[tuple[str, str, int], int] = {}
+    for cell in cells:
+        key = (cell.column.name, cell.task, cell.seed)
+        if cell.stage.key not in tables:
+            tables[cell.stage.key] = _table(folders[cell.stage.key] / ROLLOUTS)
+        table = tables[cell.stage.key]
+        own = _rollouts(table, cell, range(first, first + episodes)) if table is not None else []
+        if len(own) == episodes:
+            whole[key] = own
+        elif own:
+            partial[key] = len(own)
+    wanted = [(cell.column.name, cell.task, cell.seed) for cell in cells]
+    return Results(whole, wanted, partial, episodes)
+
+
+def _table(path: Path) -> pa.Table | None:
+    if not path.exists():
+        return None
+    try:
+        return pq.read_table(path, columns=[*_COLUMNS, *_TIMES])
+    except (OSError, pa.ArrowException) as error:
+        raise SourceError(
+            f"{path} cannot be read: {str(error)[:200]}. Delete its folder, and it is played anew."
+        ) from error
+
+
+def _rollouts(table: pa.Table, cell: Cell, seeds: range) -> list[One]:
+    found: dict[int, One] = {}
+    for row in table.to_pylist():
+        if row["label"] != cell.label or row["seed"] not in seeds:
+            continue
+        if row["seed"] in found:
+            raise SourceError(f"{cell.stage.folder} has the rollout of seed {row['seed']} twice. Delete that folder.")
+        found[row["seed"]] = One(
+            cell.task,
+            cell.seed,
+            row["seed"],
+            row["success"],
+            row["elegant"],
+            max(0, row["steps"] - 1),
+            row["decisions"],
+            row["interventions"],
+            row["problems"],
+            row["observe_s"] + row["sample_s"] + row["score_s"],
+            row["wall_s"],
+        )
+    return [found[seed] for seed in sorted(found)]
+
+
+def rate(rollouts: Sequence[One], outcome: str = "elegant") -> Rate:
+    """Share of rollouts; tasks have the same number of them, so that it is the average over tasks as well."""
+    return Rate(sum(getattr(one, outcome) for one in rollouts), len(rollouts))
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What guidance cost."""
+
+    interventions: float
+    """An episode."""
+    share: float
+    """Of decisions."""
+    step_ms: float
+    """Of policy and critic, for a step."""
+
+
+def effort(rollouts: Sequence[One]) -> Effort:
+    """Over all rollouts."""
+    interventions = sum(one.interventions for one in rollouts)
+    return Effort(
+        interventions / max(1, len(rollouts)),
+        interventions / max(1, sum(one.decisions for one in rollouts)),
+        1e3 * sum(one.decided_s for one in rollouts) / max(1, sum(one.actions for one in rollouts)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """Two columns on the same policies and initial states."""
+
+    pairs: int
+    only_first: int
+    only_second: int
+    difference: float
+    """Rate of the second less that of the first."""
+    interval: tuple[float, float]
+    """95%, by a bootstrap over initial states within each task; policies of one state stay together."""
+    p: float
+    """Of an exact McNemar test over all pairs, two-sided."""
+    p_each: Mapping[int, float]
+    """The same for each training seed: there no state is counted twice."""
+
+
+def paired(first: Sequence[One], second: Sequence[One], outcome: str = "elegant") -> Paired | None:
+    """Compare on what both have played: task, training seed and initial state. None where that is nothing."""
+    a, b = (
+        {(one.task, one.training, one.seed): bool(getattr(one, outcome)) for one in many} for many in (first, second)
+    )
+    shared = sorted(a.keys() & b.keys())
+    if not shared:
+        return None
+    by_state: dict[tuple[str, int], list[int]] = {}
+    for task, training, seed in shared:
+        key = (task, training, seed)
+        by_state.setdefault((task, seed), []).append(b[key] - a[key])
+    sums = np.array([sum(values) for values in by_state.values()], float)
+    scale = len(sums) / len(shared)
+    low, high = bootstrap_interval(sums * scale, [task for task, _ in by_state])
+    counts = {None: _discordant(a, b, shared)} | {
+        training: _discordant(a, b, [key for key in shared if key[1] == training])
+        for training in sorted({key[1] for key in shared})
+    }
+    only_a, only_b = counts[None]
+    return Paired(
+        len(shared),
+        only_a,
+        only_b,
+        (only_b - only_a) / len(shared),
+        (low, high),
+        mcnemar(only_a, only_b),
+        {training: mcnemar(*split) for training, split in counts.items() if training is not None},
+    )
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """How often fair coins split the pairs that differ at least so unevenly; 1 where none differ."""
+    total, fewer = only_first + only_second, min(only_first, only_second)
+    if not total:
+        return 1.0
+    return min(1.0, 2 * sum(math.comb(total, k) for k in range(fewer + 1)) / 2**total)
+
+
+def _discordant(
+    a: Mapping[tuple[str, int, int], bool],
+    b: Mapping[tuple[str, int, int], bool],
+    keys: Iterable[tuple[str, int, int]],
+) -> tuple[int, int]:
+    keys = list(keys)
+    return sum(a[key] and not b[key] for key in keys), sum(b[key] and not a[key] for key in keys)

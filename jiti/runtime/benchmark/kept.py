@@ -1,0 +1,102 @@
+"""What a work folder remembers: finished stages, and the runs that worked in it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from jiti.durable import make_folder, write_atomic
+from jiti.errors import SourceError
+from jiti.runtime.benchmark.stages import Stage
+
+FOLDERS = {
+    "record": "recordings",
+    "curate": "datasets",
+    "policies": "policies",
+    "critics": "critics",
+    "tau": "calibrations",
+    "rollouts": "rollouts",
+}
+"""Of the kinds of stages; labels are with the recordings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """That a stage is finished, and what it came to."""
+
+    kind: str
+    name: str
+    key: str
+    inputs: Mapping[str, Any]
+    needs: list[str]
+    wall_s: float
+    made: Mapping[str, Any]
+    """Figures for the report."""
+    finished: str
+    """UTC."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A work folder. `flat` is for recordings of one task in the folder itself, as `jiti demo` leaves them."""
+
+    out: Path
+    flat: bool = False
+
+    def folder(self, stage: Stage) -> Path:
+        """Where a stage's output is."""
+        if stage.kind == "autolabel":
+            return self.folder(stage.needs[0]) / "labels"
+        if stage.kind == "record" and self.flat:
+            return self.out
+        if stage.kind == "record":  # recordings of one plan side by side, called by their task alone
+            return self.out / FOLDERS[stage.kind] / stage.key / stage.name
+        return self.out / FOLDERS[stage.kind] / stage.folder
+
+    def done(self, stage: Stage) -> Mark | None:
+        """Raises SourceError for a mark that cannot be read."""
+        path = self._mark(stage)
+        if not path.exists() or not self.folder(stage).exists():
+            return None
+        try:
+            return Mark(**json.loads(path.read_bytes()))
+        except (OSError, ValueError, TypeError) as error:
+            raise SourceError(f"{path} is damaged: {error!r}. Delete it, and the stage is done again.") from error
+
+    def finish(self, stage: Stage, wall_s: float, made: Mapping[str, Any]) -> None:
+        """Remember that a stage is finished. Raises SaveFailed."""
+        make_folder(self.out / "stages")
+        mark = Mark(
+            stage.kind,
+            stage.name,
+            stage.key,
+            stage.inputs,
+            [needed.key for needed in stage.needs],
+            round(wall_s, 3),
+            made,
+            _now(),
+        )
+        write_atomic(self._mark(stage), json.dumps(asdict(mark), indent=1).encode())
+
+    def remember_run(self, about: Mapping[str, Any]) -> None:
+        """Add a run to those of the folder. Raises SaveFailed."""
+        make_folder(self.out)
+        runs = [*self.runs(), {"finished": _now(), **about}]
+        write_atomic(self.out / "runs.json", json.dumps(runs, indent=1).encode())
+
+    def runs(self) -> list[dict[str, Any]]:
+        """The oldest first. Raises SourceError."""
+        path = self.out / "runs.json"
+        try:
+            return json.loads(path.read_bytes()) if path.exists() else []
+        except (OSError, ValueError) as error:
+            raise SourceError(f"{path} is damaged: {error!r}. Delete it.") from error
+
+    def _mark(self, stage: Stage) -> Path:
+        return self.out / "stages" / f"{stage.kind}-{stage.folder}.json"
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

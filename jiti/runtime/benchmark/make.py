@@ -1,0 +1,114 @@
+"""Recordings, the simulator's labels, and the datasets of them."""
+
+import hashlib
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jiti.annotate.autolabel import autolabel
+from jiti.annotate.folder import annotator_dirs
+from jiti.annotate.names import MACHINES
+from jiti.annotate.proposer import Proposer
+from jiti.curate.export.command import Request, curate
+from jiti.durable import make_folder
+from jiti.episodes.reader import open_reader
+from jiti.errors import LabelError
+from jiti.progress import Progress
+from jiti.runtime.benchmark.kept import Work
+from jiti.runtime.benchmark.plan import BenchmarkPlan
+from jiti.runtime.benchmark.stages import Stage
+from jiti.runtime.sim.record import Plan, Recorded, record
+from jiti.tasks.catalogue import Catalogue
+
+SIMULATOR = "sim"
+"""Whose proposals count, but those that people settled."""
+
+
+def recordings_plan(plan: BenchmarkPlan, catalogue: Catalogue, task: str, assets: str | None) -> Plan:
+    """Of the demonstrations of a task; without cameras, for the recipes see states."""
+    data = plan.data
+    return Plan(catalogue.task(task), quality=data.quality, seed=data.seed, start=data.start, assets=assets, cameras=())
+
+
+def make_recordings(
+    plan: Plan, folder: Path, *, episodes: int, workers: int | None, progress: Progress
+) -> dict[str, Any]:
+    """Demonstrate a task. Raises UsageError, SaveFailed; what is whole is kept."""
+    recorded = record(plan, folder, episodes=episodes, workers=workers, progress=progress)
+    return counts(recorded)
+
+
+def counts(recorded: Sequence[Recorded]) -> dict[str, Any]:
+    """For the report."""
+    return {
+        "episodes": len(recorded),
+        "success": sum(one.success for one in recorded),
+        "elegant": sum(one.elegant for one in recorded),
+        "steps": sum(one.steps for one in recorded),
+    }
+
+
+def make_labels(folder: Path, episodes: int, progress: Progress) -> dict[str, Any]:
+    """Propose what the simulator decided for every recording of a folder. Raises LabelError where some are left out."""
+    reader = open_reader(folder)
+    labels_dir = Path(reader.labels_dir).absolute()
+    labelled = autolabel(reader, Proposer(str(folder.absolute()), labels_dir, by=SIMULATOR), progress=progress)
+    if labelled.episodes < episodes:
+        raise LabelError(
+            f"{folder} has {episodes} recordings, but proposals for {labelled.episodes}: "
+            f"{'; '.join(labelled.skipped[:3])}"
+        )
+    return {"episodes": labelled.episodes, "satisfied": labelled.satisfied, "violated": labelled.violated}
+
+
+def make_dataset(work: Work, stage: Stage, plan: BenchmarkPlan, progress: Progress) -> dict[str, Any]:
+    """Curate the recordings of the stages that a dataset needs. Raises JitiError; then nothing is there."""
+    out = work.folder(stage)
+    if out.exists():  # whole, but killed before that was written down: `jiti curate` gives the name last
+        shutil.rmtree(out)
+    make_folder(out.parent)
+    sources: list[str] = []
+    labels: tuple[Path, ...] = ()
+    for needed in stage.needs:
+        recordings = work.folder(needed.needs[0])
+        if work.flat:
+            # By file: whatever else lies there is not learned from.
+            seeds = range(plan.data.seed, plan.data.seed + plan.data.episodes)
+            sources += [str(recordings / f"{needed.name}_{seed:04d}.mcap") for seed in seeds]
+            labels = (recordings / "labels",)
+        else:
+            sources.append(str(recordings))
+    done = curate(
+        Request(
+            sources=tuple(sources),
+            labels=labels,
+            out=out,
+            accept=(SIMULATOR,),
+            condition=stage.inputs["filter"],
+            split=stage.inputs["split"],
+            seed=stage.inputs["seed"],
+            gamma=stage.inputs["gamma"],
+            weights=True,
+            report=True,
+        ),
+        progress,
+    )
+    return {
+        "episodes": done.episodes,
+        "frames": done.frames,
+        "elegant": done.elegant,
+        "judged": done.judged,
+        "splits": done.splits,
+    }
+
+
+def reviewed(labels_dir: Path) -> str:
+    """Hex digest of what people decided in a folder of labels; empty where no one has."""
+    people = [(name, folder) for name, folder in annotator_dirs(labels_dir) if name not in MACHINES]
+    digest = hashlib.sha256()
+    for name, folder in sorted(people):
+        for path in sorted(folder.glob("*.parquet")):
+            digest.update(f"{name}\0{path.name}\0".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16] if people else ""

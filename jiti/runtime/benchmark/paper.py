@@ -1,0 +1,44 @@
+"""The paper's figures that ours are shown beside, in percent unless said otherwise.
+
+"Beyond Success" (CVPR 2026, arXiv 2511.22555): Table 8, Table 9 (G.4), G.5 and G.6 of its supplement, and the main
+paper.
+"""
+
+from collections.abc import Mapping
+
+AVERAGE = "average"
+"""Key of a row's average ESR over its tasks."""
+INTERVENTIONS = "interventions"
+"""An episode."""
+STEP_MS = "step_ms"
+"""Inference time of a step, milliseconds (G.6, on the authors' GPU)."""
+RATE = "intervention_rate"
+"""Percent of decisions (G.6)."""
+
+
+def _table8(*esr: float, average: float) -> dict[str, float]:
+    return {**{f"elegant/T{number}": value for number, value in enumerate(esr)}, AVERAGE: average}
+
+
+FIGURES: Mapping[str, Mapping[str, float]] = {
+    "base": _table8(70, 30, 34, 52, 50, 42, 48, 72, average=49.8) | {INTERVENTIONS: 0, STEP_MS: 112.4},
+    "filtered": _table8(58, 32, 30, 38, 46, 48, 46, 86, average=48.0),
+    "weighted": _table8(64, 40, 38, 40, 54, 36, 42, 74, average=48.5),
+    "jiti": _table8(86, 68, 42, 62, 60, 54, 74, 92, average=67.2) | {INTERVENTIONS: 6.26, STEP_MS: 220.5, RATE: 33.9},
+    "full": {AVERAGE: 53.8, INTERVENTIONS: 16.25, STEP_MS: 449.3},
+    "sparse": {AVERAGE: 56.8},
+    "rq3-base": {AVERAGE: 53.0},
+    "rq3-jiti": {AVERAGE: 68.6},
+    "rigid-base": {"g4/ketchup": 34, "g4/cream-cheese": 54, "g4/black-bowl": 20, AVERAGE: 36.0},
+    "rigid-jiti": {"g4/ketchup": 56, "g4/cream-cheese": 68, "g4/black-bowl": 46, AVERAGE: 56.7},
+    "articulated-base": {"g4/close-top-drawer": 30, "g4/close-microwave": 40, AVERAGE: 35.0},
+    "articulated-jiti": {"g4/close-top-drawer": 64, "g4/close-microwave": 50, AVERAGE: 57.0},
+    "tau-0.01": {AVERAGE: 52.86},
+    "tau-0.5": {AVERAGE: 64.86},
+    "tau-1": {AVERAGE: 65.72},
+    "tau-2": {AVERAGE: 62.86},
+    "tau-10": {AVERAGE: 48.86},
+}
+"""Rows by name. `base` to `weighted` are Table 8 (SmolVLA); interventions, `full` and `sparse` are of the main paper,
+times of G.6; `rq3-` of the main paper, over seen and unseen objects; `rigid-` and `articulated-` Table 9; `tau-` G.5,
+whose multiple of 1 is not Table 8's JITI."""

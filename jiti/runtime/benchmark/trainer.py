@@ -1,0 +1,77 @@
+"""One training in a process of its own, which ends when the one that asked for it does:
+`python -m jiti.runtime.benchmark.trainer JOB.json`."""
+
+import json
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+WATCH_S = 1.0
+
+
+def end_with(parent: int) -> None:
+    """End this process, without a word, once that one is gone: what it was at is done again, by another."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def train_policy(arguments: list[str]) -> None:
+    """lerobot's own command."""
+    from lerobot.scripts.lerobot_train import main as lerobot_train
+
+    sys.argv = ["lerobot-train", *arguments]
+    lerobot_train()
+
+
+def train_critic(job: dict[str, Any]) -> None:
+    """`jiti train-critic`, with settings that differ from the recipe's."""
+    from jiti.critic.settings_file import read_settings, settings_from, settings_to
+    from jiti.critic.train import train
+
+    tables = settings_to(read_settings(Path(job["recipe"])))
+    for section, keys in job["settings"].items():
+        tables[section] = {**tables.get(section, {}), **keys}
+    said = 0.0
+
+    def tell(share: float, _what: str) -> None:
+        nonlocal said
+        if share - said >= 0.01:
+            said = share
+            print(f"share:{share:.3f}", flush=True)
+
+    trained = train(
+        Path(job["dataset"]), Path(job["out"]), settings_from(tables), features_dir=Path(job["features"]), progress=tell
+    )
+    print(trained)
+    Path(job["result"]).write_text(json.dumps({"step": trained.step, **trained.best}))
+
+
+def main(path: str) -> None:
+    """Do the job of a file. Its errors are the end of the log."""
+    job = json.loads(Path(path).read_text())
+    end_with(job["parent"])
+    import torch
+
+    torch.set_num_threads(1)
+    from jiti.errors import JitiError
+
+    try:
+        if job["kind"] == "policies":
+            train_policy(job["arguments"])
+        else:
+            train_critic(job)
+    except JitiError as error:
+        print(f"jiti: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
