@@ -74,7 +74,7 @@ class Seen:
     """One observation, ready for any number of chunks."""
 
     sampler: Sampler
-    _batches: list[dict[str, Any]]
+    batches: list[dict[str, Any]]
     _looked: Any = field(init=False, default=None)
 
     def sample(self, noise: np.ndarray) -> np.ndarray:
@@ -99,7 +99,7 @@ class Seen:
 
         with torch.inference_mode():
             if self.sampler.base.prepared_for is not self or self._looked is None:
-                prepared = [self.sampler.base.preprocess(dict(batch)) for batch in self._batches]
+                prepared = [self.sampler.base.preprocess(dict(batch)) for batch in self.batches]
                 self.sampler.base.prepared_for = self
                 if self._looked is None:
                     self._looked = self.sampler.source.look(prepared)
