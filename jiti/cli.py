@@ -1,7 +1,7 @@
 """The `jiti` command. Each subcommand parses, imports what it needs, calls one function and prints."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -522,27 +522,95 @@ def record(
     print_recorded(recorded, folder, as_json=as_json)
 
 
-@app.command(short_help="Record a benchmark task, then annotate it.")
+@app.command(short_help="The whole chain on one task, in minutes.")
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder of the recordings.")] = Path("jiti-demo"),
+    out: Annotated[Path, typer.Option("--out", help="Folder of all that it makes.")] = Path("jiti-demo"),
     task: Annotated[str, typer.Option("--task", help="A task of simulation.")] = "elegant/T2",
-    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes to record.")] = 2,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first episode.")] = 0,
-    headless: Annotated[bool, typer.Option("--headless", help="End after writing and checking.")] = False,
+    episodes: Annotated[int, typer.Option("--episodes", min=2, help="Demonstrations to record.")] = 40,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first demonstration.")] = 0,
+    rollouts: Annotated[int, typer.Option("--rollouts", min=1, help="Rollouts of each guidance.")] = 20,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes. Default: one a core.")] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A minute or two that show that it runs; the figures mean nothing.")
+    ] = False,
+    headless: Annotated[bool, typer.Option("--headless", help="End after writing, open nothing.")] = False,
+    as_json: Json = False,
     port: Port = 0,
     no_browser: NoBrowser = False,
 ) -> None:
-    """Record demonstrations of a benchmark task, propose what the simulator saw, open ESA on them.
+    """Record demonstrations, label them, train policy and critic, roll out with and without guidance; then open ESA.
 
     Example: jiti demo --headless
     """
-    from jiti.runtime.sim.demo import demo as run_demo
+    from jiti.runtime.benchmark.demo import Request
+    from jiti.runtime.benchmark.demo import demo as run_demo
 
-    with _progress("Recording") as progress:
-        summary = run_demo(out, task=task, episodes=episodes, seed=seed, progress=progress)
-    print(summary)
-    if not headless:
+    request = Request(out, task, episodes, seed, rollouts, workers, quick)
+    with _progress("Demo") as progress:
+        done = _until_stopped(lambda: run_demo(request, progress, _say))
+    print(done.to_json() if as_json else done)
+    if not (headless or as_json):
         annotate(str(out), port=port, no_browser=no_browser)
+
+
+@app.command(short_help="The paper's tables, from recordings to a report.")
+def benchmark(
+    plan: Annotated[
+        str, typer.Option("--plan", help="table8, libero, rq3, g4-rigid, g4-articulated, g5, g6, or a TOML file.")
+    ] = "table8",
+    out: Annotated[Path, typer.Option("--out", help="Work folder; several plans may share one.")] = Path("benchmark"),
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--only",
+            help="A stage: record, autolabel, curate, policies, critics, tau, rollouts, report; may be repeated.",
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option("--columns", help="Columns to play, with commas between. Default: all.")
+    ] = None,
+    tasks: Annotated[
+        str | None, typer.Option("--tasks", help="Tasks to play, with commas between: T0,T2. Default: all.")
+    ] = None,
+    task_files: Annotated[
+        list[Path] | None, typer.Option("--task-file", help="A TOML file with your tasks; may be repeated.")
+    ] = None,
+    episodes: Annotated[int | None, typer.Option("--episodes", min=1, help="Rollouts a cell.")] = None,
+    assets: Assets = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes. Default: one a core.")] = None,
+    tuning: Annotated[
+        bool, typer.Option("--tuning", help="Play from the tuning seeds, not from those that are reported.")
+    ] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few minutes that show that it runs; the figures mean nothing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Play a plan's columns on its tasks, and write its tables beside the paper's; a stopped run goes on where it was.
+
+    Example: jiti benchmark --plan table8 --out benchmark
+    """
+    from jiti.runtime.benchmark.command import Request, run_request
+
+    def split(text: str | None) -> tuple[str, ...]:
+        return tuple(part.strip() for part in text.split(",") if part.strip()) if text else ()
+
+    request = Request(
+        plan,
+        out,
+        tuple(only or ()),
+        split(columns),
+        split(tasks),
+        tuple(task_files or ()),
+        episodes,
+        assets,
+        workers,
+        tuning,
+        quick,
+    )
+    with _progress("Benchmark") as progress:
+        done = _until_stopped(lambda: run_request(request, progress, _say))
+    print(done.to_json() if as_json else done)
 
 
 @app.command("train-critic", short_help="Train the Elegance Critic on D_elegant.")
@@ -721,6 +789,18 @@ def _progress(what: str) -> Iterator[Progress]:
     with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
         yield tell
+
+
+def _say(what: str) -> None:
+    print(what, file=sys.stderr)
+
+
+def _until_stopped[T](work: Callable[[], T]) -> T:
+    try:
+        return work()
+    except KeyboardInterrupt:
+        _say("Stopped. What is finished is kept; the same command goes on there.")
+        raise
 
 
 def _say_session(session: "Session") -> None:

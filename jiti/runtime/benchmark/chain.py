@@ -13,6 +13,7 @@ from jiti.progress import Progress
 from jiti.runtime.benchmark.cells import Cell, Results, read_cells
 from jiti.runtime.benchmark.kept import Work
 from jiti.runtime.benchmark.make import (
+    accept_all,
     make_dataset,
     make_labels,
     make_recordings,
@@ -44,6 +45,8 @@ class Chain:
     workers: int = 1
     record: bool = False
     """Whether rollouts are recorded as well."""
+    annotator: str = ""
+    """In whose name the simulator's proposals are accepted; without one they count as they are, as proposals."""
     say: Say = field(default=lambda _what: None)
 
     @cached_property
@@ -102,7 +105,10 @@ class Chain:
             self._each(todo["record"], remaining.begin("record"), self._record)
         if "autolabel" in kinds:
             self._each(todo["autolabel"], remaining.begin("autolabel"), self._label)
-            # What people decided has not changed by this; datasets keep their names.
+            # Datasets depend on what was accepted meanwhile.
+            self.__dict__.pop("stages", None)
+            missing = self.missing()
+            todo |= {kind: [stage for stage in missing if stage.kind == kind] for kind in KINDS[2:]}
         if "curate" in kinds:
             self._each(todo["curate"], remaining.begin("curate"), self._curate)
         training = [stage for kind in ("critics", "policies") if kind in kinds for stage in todo[kind]]
@@ -195,7 +201,12 @@ class Chain:
         )
 
     def _label(self, stage: Stage, progress: Progress) -> Mapping[str, Any]:
-        return make_labels(self.work.folder(stage.needs[0]), self.plan.data.episodes, progress)
+        folder = self.work.folder(stage.needs[0])
+        made = make_labels(folder, self.plan.data.episodes, progress)
+        if self.annotator:
+            count = accept_all(folder, self.annotator)
+            self.say(f"{count} proposals of the simulator were accepted in the name of {self.annotator}")
+        return made
 
     def _curate(self, stage: Stage, progress: Progress) -> Mapping[str, Any]:
         return make_dataset(self.work, stage, self.plan, progress)

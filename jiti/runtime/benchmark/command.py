@@ -57,7 +57,10 @@ class Done:
 
     def __str__(self) -> str:
         columns = self.content["columns"]
-        lines = [f"{self.plan.title}: average ESR of {len(self.plan.tasks)} tasks, in percent with 95% intervals"]
+        lines = [
+            f"{self.plan.title}: ESR over {len(self.plan.tasks)} task{'s' if len(self.plan.tasks) > 1 else ''}, "
+            "in percent with 95% intervals"
+        ]
         width = max(len(column.shown) for column in self.plan.columns)
         for column in self.plan.columns:
             average = columns[column.name]["average"]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jiti.annotate.autolabel import autolabel
+from jiti.annotate.names import default_annotator
 from jiti.annotate.proposer import Proposer
 from jiti.episodes.episode import Episode
 from jiti.episodes.reader import open_reader
@@ -60,14 +61,14 @@ class Demonstrated:
         success = sum(one.success for one in self.demonstrations)
         blind = "" if self.pictures else "; without pictures: no GL library was found"
         opens = (
-            (f"jiti annotate {SHOWN}", f"segments and verdicts of one demonstration (ESA){blind}"),
+            (f"jiti annotate {SHOWN}", f"a demonstration and its proposals, to review (ESA){blind}"),
             ("jiti validate-rewards", "rewards and returns of all of them (RVV)"),
             ("jiti autolabel --vlm", "a vision-language model proposes; needs a server, --vlm-url or $JITI_VLM_URL"),
             ("jiti rollout", "more rollouts with the policy and the critic that are here"),
             (f"jiti train-critic --evaluate {self._under('critic')}", "how well the critic ranks"),
             (f"jiti inspect {self._under('rollouts')}", "recordings of the rollouts"),
             (f"{self._under('dataset')}/meta/jiti/report.html", "the dataset"),
-            (str(self.done.page.relative_to(self.folder)), "all figures"),
+            (str(self.done.page.relative_to(self.folder)), "this run's figures"),
         )
         width = max(len(what) for what, _ in opens)
         lines = [
@@ -112,7 +113,19 @@ def demo(
     plan = _plan(request, task)
     workers = request.workers or usual_workers()
     work = Work(request.folder, flat=True)
-    chain = Chain(work, plan, catalogue, plan.columns, plan.tasks, None, workers, record=True, say=say)
+    # In the user's name, so that what they change in ESA are their own rows; a changed label is then learned from.
+    chain = Chain(
+        work,
+        plan,
+        catalogue,
+        plan.columns,
+        plan.tasks,
+        None,
+        workers,
+        record=True,
+        annotator=default_annotator(),
+        say=say,
+    )
     run_chain(chain, (), lambda share, what: progress((1 - SHOWN_SHARE) * share, what))
     recorded = _recorded(plan, task, request.folder)
     progress(1 - SHOWN_SHARE, f"recording {SHOWN} with pictures")

@@ -6,10 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
 from jiti.annotate.autolabel import autolabel
 from jiti.annotate.folder import annotator_dirs
+from jiti.annotate.labels import read_labels
 from jiti.annotate.names import MACHINES
+from jiti.annotate.proposals import accept, pending
 from jiti.annotate.proposer import Proposer
+from jiti.annotate.segment_file import Recording, to_segments
+from jiti.annotate.segments import Segment
+from jiti.annotate.store import LabelStore
 from jiti.curate.export.command import Request, curate
 from jiti.durable import make_folder
 from jiti.episodes.reader import open_reader
@@ -60,6 +67,28 @@ def make_labels(folder: Path, episodes: int, progress: Progress) -> dict[str, An
             f"{'; '.join(labelled.skipped[:3])}"
         )
     return {"episodes": labelled.episodes, "satisfied": labelled.satisfied, "violated": labelled.violated}
+
+
+def accept_all(folder: Path, annotator: str) -> int:
+    """Accept every proposal that no one has decided yet, with its verdict, in the name of an annotator; say how many.
+
+    What people rejected or changed stays. Raises LabelError, SaveFailed.
+    """
+    reader = open_reader(folder)
+    store = LabelStore(Path(reader.labels_dir).absolute())
+    found = read_labels(store.labels_dir).whole().segments
+    decided = [name for name in found["parent_id"].to_pylist() if name]
+    proposals = to_segments(found.filter(pa.array([name in MACHINES for name in found["annotator"].to_pylist()])))
+    accepted: dict[str, list[Segment]] = {}
+    for proposal in pending(proposals, decided):
+        if proposal.reward is not None:
+            accepted.setdefault(proposal.episode_id, []).append(accept(proposal))
+    for episode_id, segments in accepted.items():
+        episode = reader.open(episode_id)
+        recording = Recording(episode.clock.frame_count, episode.clock.rate_hz, episode.fingerprint)
+        partition = store.partition(annotator, episode_id, recording)
+        partition.apply("accept", put=segments, based_on=partition.version)
+    return sum(map(len, accepted.values()))
 
 
 def make_dataset(work: Work, stage: Stage, plan: BenchmarkPlan, progress: Progress) -> dict[str, Any]:
