@@ -15,8 +15,10 @@ from torch import Tensor  # noqa: TID253
 class Looked:
     """What GR00T made of one observation."""
 
+    hidden: Tensor
+    """(1, L, D), the backbone's tokens."""
     seen: Tensor
-    """(1, L, D)"""
+    """(1, L, D), the same as the action head takes them."""
     state: Tensor
     """(1, 1, E)"""
     embodiment: Tensor
@@ -31,6 +33,7 @@ class GrootSource:
     """The two halves of `GR00TN17.get_action`."""
 
     history = 1
+    features_kind = "groot"
 
     def __init__(self, policy: Any) -> None:
         self._policy = policy
@@ -45,8 +48,11 @@ class GrootSource:
         with self._precision():
             backbone_inputs, action_inputs = self._model.prepare_input(inputs)
             backbone = self._model.backbone(backbone_inputs)
+            # `_encode_features` puts its own in their place.
+            hidden = backbone["backbone_features"]
             features = self._model.action_head._encode_features(backbone, action_inputs)
         return Looked(
+            hidden,
             features["backbone_features"],
             features["state_features"],
             action_inputs["embodiment_id"],
@@ -76,9 +82,24 @@ class GrootSource:
                 chunks = chunks + velocity / head.num_inference_timesteps
         return chunks[:, : self.chunk, : self._policy.config.output_features["action"].shape[0]]
 
+    def features(self, looked: Looked, option: str) -> Tensor:
+        """Tokens (1, 3, size) float32 as `jiti.critic.features.groot` makes them."""
+        hidden = looked.hidden.float()
+        valid = looked.valid if looked.valid is not None else hidden.new_ones(hidden.shape[:2]).bool()
+        pictures = looked.pictures & valid if looked.pictures is not None else valid
+        parts = [_mean(hidden, pictures), _mean(hidden, valid & ~pictures), looked.state.float().flatten(1)]
+        size = max(part.shape[-1] for part in parts)
+        return torch.stack([torch.nn.functional.pad(part, (0, size - part.shape[-1])) for part in parts], dim=1)
+
     def _precision(self) -> Any:
         kind = next(self._policy.parameters()).device.type
         return torch.autocast(device_type=kind, dtype=torch.bfloat16, enabled=self._policy.config.use_bf16)
+
+
+def _mean(hidden: Tensor, which: Tensor) -> Tensor:
+    """(1, L, D) and (1, L) -> (1, D); zeros where none is meant."""
+    share = which.unsqueeze(-1).to(hidden.dtype)
+    return (hidden * share).sum(1) / share.sum(1).clamp_min(1)
 
 
 def open_source(policy: Any) -> GrootSource:

@@ -8,7 +8,7 @@ import numpy as np
 
 from jiti.critic.features import FeatureExtractor, open_extractor
 from jiti.errors import UsageError
-from jiti.runtime.candidates.observation import Observation, as_batch, shapes_of
+from jiti.runtime.candidates.observation import PICTURES, Observation, as_batch, shapes_of
 from jiti.runtime.candidates.sampler import Sampler, Seen
 from jiti.runtime.guidance import Score
 
@@ -69,8 +69,23 @@ class Scorer:
                     f"the critic takes features of {sizes.tokens} x {sizes.features} numbers, and {self.features} "
                     f"gives {opened.tokens} x {opened.size} here. Use the robot, scene and cameras of its dataset."
                 )
+            self._check_same(opened)
             self._extractor = opened
         return self._extractor
+
+    def _check_same(self, opened: FeatureExtractor) -> None:
+        """Raises UsageError where features are of other observations or weights than those that it learned from.
+
+        The fingerprint of an extractor with pictures also has the names that a dataset gave them, which may be others
+        here: of these nothing is said.
+        """
+        learned = self.critic.config.get("extractor", {}).get("fingerprint")
+        if learned and learned != opened.fingerprint and not any(key.startswith(PICTURES) for key in opened.needs):
+            raise UsageError(
+                f"the critic learned from {self.features} of other observations or weights than there are here "
+                f"({', '.join(opened.needs)}). Use the robot, scene and policy that it was trained with, or train it "
+                "again."
+            )
 
 
 def open_scorer(critic: str | Path, device: str = "cpu") -> Scorer:

@@ -65,7 +65,15 @@ def tiny_flow(**changed):
     return policy
 
 
-def tiny_critic(folder: Path, *, features: str = "state", tokens: int = 1, size: int = 13, chunk: int = 10) -> Path:
+def tiny_critic(
+    folder: Path,
+    *,
+    features: str = "state",
+    fingerprint: str = "",
+    tokens: int = 1,
+    size: int = 13,
+    chunk: int = 10,
+) -> Path:
     """A critic of one block, whose values spread."""
     import torch
 
@@ -80,7 +88,7 @@ def tiny_critic(folder: Path, *, features: str = "state", tokens: int = 1, size:
     with torch.no_grad():
         for weight in critic.q.parameters():
             weight.normal_(0, 0.4)
-    save_critic(critic, folder, {"extractor": {"name": features, "fingerprint": ""}})
+    save_critic(critic, folder, {"extractor": {"name": features, "fingerprint": fingerprint}})
     return folder
 
 

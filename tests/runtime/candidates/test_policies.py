@@ -321,6 +321,8 @@ def test_groot_draws_what_get_action_gives(alternate, monkeypatch):
     from lerobot.policies.groot import groot_n1_7
     from lerobot.policies.groot.modeling_groot import GrootPolicy
 
+    from jiti.critic.features.groot import GrootFeatures
+    from jiti.critic.features.opened_policy import OpenedPolicy
     from jiti.runtime.candidates.groot import open_source
 
     torch.manual_seed(0)
@@ -379,3 +381,9 @@ def test_groot_draws_what_get_action_gives(alternate, monkeypatch):
             patch.setattr(torch, "randn", lambda row=row, **_: row[None].clone())
             whole = GrootPolicy.predict_action_chunk(policy, dict(prepared))
         assert torch.allclose(whole[0], chunk, atol=1e-5)
+    # The critic's features, of the same look at the observation.
+    policy._action_queue_steps = 10
+    extractor = GrootFeatures("groot:here", OpenedPolicy(policy, dict, {}, tuple(prepared), "abc"))
+    features = extractor.features(prepared)
+    assert features.shape == (1, extractor.tokens, extractor.size)
+    assert torch.allclose(source.features(looked, ""), features, atol=1e-5)

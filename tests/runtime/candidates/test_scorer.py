@@ -109,3 +109,15 @@ def test_what_does_not_fit_together_is_told_before_anything_is_done(sampler, sco
         open_scorer(tiny_critic(tmp_path / "gone", features="policy:not a name"))
     with pytest.raises(SourceError, match="no critic"):
         open_scorer(tmp_path)
+
+
+def test_features_of_other_observations_than_it_learned_from_are_refused(sampler, tmp_path):
+    from jiti.critic.features import open_extractor
+    from jiti.runtime.candidates.observation import shapes_of
+
+    own = open_extractor("state", shapes_of(observation())).fingerprint
+    check_pair(sampler, open_scorer(tiny_critic(tmp_path / "own", fingerprint=own)), observation())
+    # As many numbers in all, 9 of the robot and 4 of the scene.
+    other = open_extractor("state", {STATE: (9,), SCENE: (4,)}).fingerprint
+    with pytest.raises(UsageError, match="learned from state of other observations"):
+        check_pair(sampler, open_scorer(tiny_critic(tmp_path / "other", fingerprint=other)), observation())
