@@ -1,5 +1,6 @@
 """A benchmark's plan from a TOML file; every mistake in it is told with its line."""
 
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
@@ -113,13 +114,15 @@ def _record(kind: type, table: Any, keys: KeyPath, where: Where) -> Any:
 
 
 def _place(message: str, content: Mapping[str, Any]) -> KeyPath:
-    """Of the key that a message begins with, where the file has it."""
-    first = message.split(" ", 1)[0]
-    keys = tuple(first.split("."))
-    if keys[0] in content:
-        return keys
-    if message.startswith(("compare", "two columns")):
-        return ("compare" if message.startswith("compare") else "column",)
+    """Of what a message is about, as far as the file has it."""
+    if message.startswith("two columns"):
+        name = message.rpartition(" ")[2]
+        return ("column", max(k for k, column in enumerate(content["column"]) if column["name"] == name), "name")
+    if message.startswith("compare"):
+        return ("compare",)
+    for section, key in re.findall(r"(\w+)\.(\w+)", message):
+        if key in content.get(section, {}):
+            return section, key
     return ()
 
 

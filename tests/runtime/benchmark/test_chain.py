@@ -1,0 +1,157 @@
+"""What is finished is not done again; what depends on a changed input is."""
+
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from jiti.errors import UsageError
+from jiti.runtime.benchmark import about
+from jiti.runtime.benchmark.command import report, run_chain
+from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, CriticPlan, DataPlan, PolicyPlan, RolloutsPlan
+from tests.builders.benchmark import Pretended, chain_of
+
+PLAN = BenchmarkPlan(
+    "small",
+    "A small one",
+    DataPlan(("elegant/T0", "elegant/T2"), episodes=4),
+    (
+        Column("base", method="none", seeds=(0, 1)),
+        Column("jiti", method="jiti"),
+        Column("random", method="jiti", pick="random"),
+        Column("filtered", method="none", data="filtered"),
+    ),
+    policy=PolicyPlan(steps=10),
+    critic=CriticPlan(steps=10),
+    rollouts=RolloutsPlan(episodes=3, tuning_episodes=2),
+)
+ALL = [
+    "record elegant/T0",
+    "record elegant/T2",
+    "autolabel elegant-T0",
+    "autolabel elegant-T2",
+    "curate all",
+    "curate filtered",
+    "critics segments",
+    "policies all-0",
+    "policies all-1",
+    "policies filtered-0",
+    "tau all-0-segments",
+    "play elegant/T0 none",
+    "play elegant/T0 none",
+    "play elegant/T2 none",
+    "play elegant/T2 none",
+    "play elegant/T0 jiti,jiti-random",
+    "play elegant/T2 jiti,jiti-random",
+    "play elegant/T0 none",
+    "play elegant/T2 none",
+]
+
+
+@pytest.fixture
+def pretended(monkeypatch) -> Pretended:
+    return Pretended(monkeypatch)
+
+
+def test_everything_is_done_once(pretended, tmp_path):
+    chain_of(PLAN, tmp_path).run()
+    assert pretended.take() == ALL
+    chain_of(PLAN, tmp_path).run()
+    assert pretended.take() == []
+    assert chain_of(PLAN, tmp_path).results().missing() == []
+
+
+@pytest.mark.parametrize(
+    ("plan", "again"),
+    [
+        (replace(PLAN, critic=CriticPlan(steps=11)), ["critics segments", "tau", "play"]),
+        (replace(PLAN, policy=PolicyPlan(steps=11)), ["policies", "tau", "play"]),
+        (replace(PLAN, data=replace(PLAN.data, quality=0.4)), ["record", "autolabel", "curate", "critics", "tau"]),
+        (replace(PLAN, rollouts=replace(PLAN.rollouts, episodes=4)), ["play"]),
+        (replace(PLAN, tuning=True), ["play"]),
+        (replace(PLAN, columns=(Column("x2", method="jiti", tau_scale=2.0),)), ["play"]),
+        (
+            replace(PLAN, columns=(Column("sparse", method="jiti", rewards="sparse"),)),
+            ["critics sparse", "tau", "play"],
+        ),
+    ],
+)
+def test_a_changed_input_redoes_what_depends_on_it_and_nothing_else(pretended, tmp_path, plan, again):
+    chain_of(PLAN, tmp_path).run()
+    pretended.take()
+    chain_of(plan, tmp_path).run()
+    done = pretended.take()
+    assert done
+    for wanted in again:
+        assert any(one.startswith(wanted) for one in done), wanted
+    kinds = {one.split(" ")[0] for one in done}
+    if "record" not in again:
+        assert not kinds & {"record", "autolabel", "curate"}
+    if again == ["play"]:
+        assert kinds == {"play"}
+    if again[0] == "critics segments":
+        assert "play elegant/T0 none" not in done
+    chain_of(PLAN, tmp_path).run()
+    assert pretended.take() == [], "what was there before is still there"
+
+
+def test_what_people_decide_makes_another_dataset(pretended, tmp_path):
+    chain = chain_of(PLAN, tmp_path)
+    chain.run()
+    pretended.take()
+    own = chain.work.folder(chain.stages.labels("elegant/T2")) / "segments" / "annotator=ada"
+    own.mkdir(parents=True)
+    (own / "elegant-T2_0000.parquet").write_bytes(b"a label")
+    chain_of(PLAN, tmp_path).run()
+    done = pretended.take()
+    assert done == [one for one in ALL if one.split(" ")[0] not in ("record", "autolabel")]
+
+
+def test_parts_can_be_done_alone_and_what_they_need_is_said(pretended, tmp_path):
+    with pytest.raises(UsageError, match=r"--only policies needs what curate makes.*--only curate"):
+        chain_of(PLAN, tmp_path).run(only=("policies",))
+    chain_of(PLAN, tmp_path).run(only=("record", "autolabel"))
+    assert pretended.take() == ALL[:4]
+    (base, *_) = PLAN.columns
+    part = replace(chain_of(PLAN, tmp_path), columns=(base,), tasks=("elegant/T2",))
+    part.run()
+    expected = ["curate all", "policies all-0", "policies all-1", *["play elegant/T2 none"] * 2]
+    assert pretended.take() == expected
+    results = part.results()
+    assert set(results.cells) == {("base", "elegant/T2", 0), ("base", "elegant/T2", 1)}
+    assert len(results.missing("base")) == 2
+    chain_of(PLAN, tmp_path).run()
+    done = pretended.take()
+    assert not {"curate all", "policies all-0", "policies all-1"} & set(done)
+    assert done.count("play elegant/T2 none") == 1, "of the filtered policy"
+
+
+def test_a_finished_cell_does_not_need_the_policy_that_played_it(pretended, tmp_path):
+    chain_of(PLAN, tmp_path).run()
+    pretended.take()
+    shutil.rmtree(tmp_path / "policies")
+    chain_of(PLAN, tmp_path).run()
+    assert pretended.take() == []
+
+
+def test_progress_only_grows_and_tells_the_time_that_is_left(pretended, tmp_path):
+    told = []
+    chain = chain_of(PLAN, tmp_path)
+    chain.run(progress=lambda share, what: told.append((share, what)))
+    assert [share for share, _ in told] == sorted(share for share, _ in told)
+    assert all(" left" in what for _, what in told)
+
+
+def test_the_report_says_what_ran_and_what_is_missing(pretended, tmp_path):
+    chain = replace(chain_of(PLAN, tmp_path), tasks=("elegant/T0",))
+    run_chain(chain, (), lambda _share, _what: None)
+    done = report(chain, tmp_path / "report")
+    assert {(one["column"], one["task"]) for one in done.content["missing"]} == {
+        (column.name, "elegant/T2") for column in PLAN.columns
+    }
+    text = (tmp_path / "report" / "report.md").read_text()
+    assert "Missing: base on elegant/T2 (seed 0)" in text
+    assert about.plan_digest(PLAN) in text
+    assert "1 finished" in text
+    assert "missing" in str(done)
+    assert str(tmp_path) not in text

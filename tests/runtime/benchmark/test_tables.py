@@ -1,0 +1,211 @@
+"""Tables of rollouts that nobody played, against what is worked out by hand."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from jiti.errors import SourceError
+from jiti.runtime.benchmark.cells import Cell, Results, effort, mcnemar, paired, rate, read_cells
+from jiti.runtime.benchmark.page import to_html, to_markdown, write_report
+from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Comparison, DataPlan, RolloutsPlan
+from jiti.runtime.benchmark.stages import Stage
+from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, make_report, numbers
+from tests.builders.benchmark import write_rollouts
+
+T0, T2 = "elegant/T0", "elegant/T2"
+BASE, JITI = (
+    Column("base", "Base", seeds=(0, 1), paper="base"),
+    Column("jiti", "JITI", "jiti", seeds=(0,), paper="jiti"),
+)
+PLAN = BenchmarkPlan(
+    "two",
+    "Two columns",
+    DataPlan((T0, T2)),
+    (BASE, JITI),
+    rollouts=RolloutsPlan(episodes=4, seed=100),
+    comparisons=(Comparison("base", "jiti"), Comparison("base", "jiti", "success")),
+    groups={"rest": (T2,)},
+)
+WON, CLUMSY, LOST = (True, True), (True, False), (False, False)
+PLAYED = {
+    ("base", T0, 0): [WON, CLUMSY, CLUMSY, LOST],
+    ("base", T2, 0): [CLUMSY, CLUMSY, LOST, LOST],
+    ("base", T0, 1): [WON, WON, CLUMSY, CLUMSY],
+    ("base", T2, 1): [LOST, LOST, LOST, LOST],
+    ("jiti", T0, 0): [WON, WON, WON, CLUMSY],
+    ("jiti", T2, 0): [CLUMSY, WON, WON, LOST],
+}
+
+
+def results(folder: Path, played=PLAYED, episodes: int = 4) -> Results:
+    """As they are read from `rollouts.parquet`; JITI intervenes 3 times an episode."""
+    cells, folders = [], {}
+    for (name, task, seed), outcomes in played.items():
+        column = PLAN.column(name)
+        stage = Stage("rollouts", f"{name}-{task[-2:]}-{seed}", {"cell": [name, task, seed]})
+        label = column.method
+        rows = {100 + k: (*one, 3 if label == "jiti" else 0) for k, one in enumerate(outcomes)}
+        write_rollouts(folder / stage.folder, task, {label: rows, "other": {100: (True, True, 0)}})
+        cells.append(Cell(column, task, seed, stage, label))
+        folders[stage.key] = folder / stage.folder
+    found = read_cells(cells, folders, first=100, episodes=episodes)
+    wanted = [(c.name, task, seed) for c in PLAN.columns for task in PLAN.tasks for seed in c.seeds]
+    return replace(found, wanted=wanted)
+
+
+def test_rates_and_effort_are_those_of_the_rollouts(tmp_path):
+    found = results(tmp_path)
+    base, jiti = (found.of(column, PLAN.tasks) for column in PLAN.columns)
+    assert base is not None
+    assert jiti is not None
+    assert (rate(base).count, rate(base).of) == (3, 16)
+    assert (rate(base, "success").count, rate(base, "success").of) == (9, 16)
+    assert (rate(jiti).count, rate(jiti).of) == (5, 8)
+    cost = effort(jiti)
+    assert (cost.interventions, cost.share) == (3.0, 0.3)
+    assert cost.step_ms == pytest.approx(10 * 3.0 / 100)  # 10 decisions of 3 ms over 100 actions
+
+
+def test_pairs_are_of_one_policy_and_one_state(tmp_path):
+    found = results(tmp_path)
+    base, jiti = (found.of(column, PLAN.tasks) for column in PLAN.columns)
+    assert base is not None
+    assert jiti is not None
+    pair = paired(base, jiti)
+    assert pair is not None
+    # Training seed 0 alone is shared: on T0 two states and on T2 two states are won by JITI only.
+    assert (pair.pairs, pair.only_first, pair.only_second) == (8, 0, 4)
+    assert pair.difference == 0.5
+    assert pair.p == pytest.approx(2 / 2**4)
+    assert pair.p_each == {0: pair.p}
+    assert 0.0 < pair.interval[0] < 0.5 < pair.interval[1] <= 1.0
+    assert paired(base, []) is None
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "p"),
+    [(0, 0, 1.0), (1, 1, 1.0), (0, 5, 2 / 32), (2, 8, 2 * (1 + 10 + 45) / 1024), (8, 2, 2 * (1 + 10 + 45) / 1024)],
+)
+def test_mcnemar_is_the_exact_binomial(first, second, p):
+    assert mcnemar(first, second) == pytest.approx(p)
+
+
+def test_the_interval_keeps_the_policies_of_one_state_together(tmp_path):
+    """Three policies that agree on every state tell no more than one of them."""
+    column = replace(BASE, seeds=(0, 1, 2))
+    states = [WON, LOST, WON, LOST, LOST, WON]
+
+    def side(folder: str, outcomes) -> list:
+        cells, folders = [], {}
+        for seed in column.seeds:
+            stage = Stage("rollouts", f"{folder}-{seed}", {"cell": [folder, seed]})
+            write_rollouts(tmp_path / stage.folder, T0, {"none": {100 + k: (*o, 0) for k, o in enumerate(outcomes)}})
+            cells.append(Cell(column, T0, seed, stage, "none"))
+            folders[stage.key] = tmp_path / stage.folder
+        found = read_cells(cells, folders, first=100, episodes=6).of(column, (T0,))
+        assert found is not None
+        return found
+
+    first, second = side("a", [LOST] * 6), side("b", states)
+    three = paired(first, second)
+    one = paired([r for r in first if r.training == 0], [r for r in second if r.training == 0])
+    assert three is not None
+    assert one is not None
+    assert three.interval == one.interval
+    assert three.p < one.p == three.p_each[0]
+
+
+def test_a_cell_that_is_not_whole_is_missing_everywhere(tmp_path):
+    played = {**PLAYED, ("jiti", T2, 0): PLAYED["jiti", T2, 0][:3]}
+    found = results(tmp_path, played)
+    assert found.missing() == [("jiti", T2, 0)]
+    assert found.partial == {("jiti", T2, 0): 3}
+    told = numbers(PLAN, found)
+    assert told["columns"]["jiti"]["average"] is None
+    assert told["columns"]["jiti"]["tasks"][T2] is None
+    assert told["columns"]["jiti"]["tasks"][T0]["elegant"]["rate"] == 0.75
+    assert told["comparisons"][0]["pairs"] == 0
+    report = make_report(PLAN, found, (), ())
+    (row,) = [row for row in _table(report, "Elegant success rate").rows if row[0] == "JITI"]
+    assert row == ("JITI", "75.0 (30–95)", MISSING, MISSING)
+    assert "Missing: jiti on elegant/T2 (seed 0)" in to_markdown(report)
+    assert found.of(JITI, (T0,)) is not None
+
+
+def test_more_rollouts_than_asked_for_are_not_counted(tmp_path):
+    found = results(tmp_path, episodes=2)
+    assert found.missing() == []
+    assert numbers(PLAN, found)["columns"]["jiti"]["average"]["rollouts"] == 4
+
+
+def test_the_tables_have_the_papers_figures_beside_ours(tmp_path):
+    report = make_report(PLAN, results(tmp_path), [("plan", "two")], ())
+    low, high = (100 * x for x in _wilson(3, 16))
+    assert _table(report, "Elegant success rate").rows == (
+        ("Base", "37.5 (14–69)", "0.0 (0–32)", f"18.8 ({low:.0f}–{high:.0f})"),
+        ("Base, paper", "70", "34", "49.8"),
+        ("JITI", "75.0 (30–95)", "50.0 (15–85)", "62.5 (31–86)"),
+        ("JITI, paper", "86", "42", "67.2"),
+    )
+    averages = {row[0]: row[1:] for row in _table(report, "Averages").rows}
+    assert averages["JITI"][1:7] == ("67.2", "87.5 (53–98)", "3.00", "6.26", "30.0%", "33.9%")
+    assert averages["Base"][3:6] == ("–", "0", "–")
+    assert _table(report, "Groups of tasks").rows[1] == ("rest: JITI", "50.0 (15–85)", "75.0 (30–95)", "1")
+    tests = _table(report, "Paired tests").rows
+    assert tests[0][:2] == ("Base → JITI", "ESR")
+    assert tests[0][2] == "8"
+    assert tests[0][4:] == ("0", "4", "0.12", "0.12")
+    assert tests[1][1] == "success"
+
+
+def test_a_sweep_of_tau_is_drawn_where_there_is_one(tmp_path):
+    assert not any("Multiples" in section.title for section in make_report(PLAN, results(tmp_path), (), ()).sections)
+    scales = tuple(Column(f"x{k}", method="jiti", tau_scale=scale) for k, scale in enumerate((0.5, 1.0, 2.0)))
+    plan = replace(PLAN, columns=scales, comparisons=(), groups={})
+    report = make_report(plan, Results({}, [], {}, 4), (), ())
+    (section,) = [section for section in report.sections if section.title.startswith("Multiples")]
+    assert any(isinstance(part, Chart) and part.svg.count("missing") == 3 for part in section.parts)
+
+
+def test_the_page_needs_nothing_else(tmp_path):
+    report = make_report(replace(PLAN, title="A <b> title"), results(tmp_path), [("plan", "<script>")], ())
+    html = to_html(report)
+    assert not re.search(r"https?:|<script|<link|<img|src=|url\(|@import", html)
+    assert "A &lt;b&gt; title" in html
+    assert "&lt;script&gt;" in html
+    assert html.count("<svg") == 2
+    path = write_report(tmp_path / "report", report)
+    assert path.read_text() == html
+    for plot in re.findall(r"\]\((plots/\S+)\)", (tmp_path / "report" / "report.md").read_text()):
+        assert (tmp_path / "report" / plot).read_text().startswith("<svg xmlns=")
+
+
+def test_a_table_that_cannot_be_read_is_named(tmp_path):
+    results(tmp_path)
+    (path,) = tmp_path.glob("base-T0-0-*/rollouts.parquet")
+    path.write_bytes(b"no table")
+    cell = Cell(BASE, T0, 0, Stage("rollouts", "base-T0-0", {}), "none")
+    with pytest.raises(SourceError, match=r"rollouts.parquet cannot be read"):
+        read_cells([cell], {cell.stage.key: path.parent}, first=100, episodes=4)
+    write_rollouts(path.parent, T0, {"none": {100: (True, True, 0)}})
+    twice = pq.read_table(path)
+    pq.write_table(twice.take([0, 0]), path)
+    with pytest.raises(SourceError, match="seed 100 twice"):
+        read_cells([cell], {cell.stage.key: path.parent}, first=100, episodes=4)
+
+
+def _table(report, title: str) -> TextTable:
+    (section,) = [section for section in report.sections if section.title == title]
+    (table,) = [part for part in section.parts if isinstance(part, TextTable)]
+    return table
+
+
+def _wilson(count: int, of: int) -> tuple[float, float]:
+    z = 1.959963984540054
+    rate, share = count / of, z * z / of
+    half = z * math.sqrt(rate * (1 - rate) / of + share / of / 4)
+    return (rate + share / 2 - half) / (1 + share), (rate + share / 2 + half) / (1 + share)
