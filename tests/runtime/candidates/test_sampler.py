@@ -102,3 +102,23 @@ def test_a_policy_without_stochastic_chunks_is_refused(tmp_path):
     ACTConfig(device="cpu", push_to_hub=False, **inputs()).save_pretrained(tmp_path)
     with pytest.raises(UsageError, match="type act, which is not known to draw different chunks"):
         open_sampler(tmp_path)
+
+
+def test_relative_actions_are_added_to_the_observation_that_they_are_of(sampler, monkeypatch):
+    """Whichever was prepared last: a pipeline of lerobot's may keep the last state for its other end."""
+    base, kept = sampler.base, {}
+    before, after = base.preprocess, base.postprocess
+
+    def keeping(batch):
+        kept["state"] = batch[STATE][0, 0]
+        return before(batch)
+
+    monkeypatch.setattr(base, "preprocess", keeping)
+    monkeypatch.setattr(base, "postprocess", lambda chunks: after(chunks) + kept["state"])
+    given, (one, other) = noise(2, sampler.noise_shape), (observation(0), observation(1))
+    first, second = sampler.observe(one, TOLD), sampler.observe(other, TOLD)
+    chunks = first.sample(given)
+    second.sample(given)
+    assert np.array_equal(first.sample(given), chunks)
+    monkeypatch.undo()
+    assert np.allclose(chunks - one[STATE][0], sampler.observe(one, TOLD).sample(given), atol=1e-5)
