@@ -181,3 +181,17 @@ def test_whole_chunks_are_given_as_well(base, critic, tmp_path):
     assert chunk.shape == (1, 10, 7)
     wanted, _ = by_guide(base, critic, Guidance("full"), 7, 3, steps=4)
     assert np.allclose(chunk[0, :4].numpy(), wanted, atol=1e-5)
+
+
+def test_pictures_reach_the_base_policy_byte_for_byte():
+    from lerobot.envs.utils import preprocess_observation
+
+    from jiti.policies.modeling_jiti import _observations
+
+    pictures = np.arange(2 * 16 * 16 * 3).reshape(2, 16, 16, 3).astype(np.uint8)
+    batch = preprocess_observation({"pixels": {"front": pictures}, "agent_pos": np.zeros((2, 8))})
+    observations, told = _observations({**batch, "task": [TOLD, "push"]})
+    assert told == [TOLD, "push"]
+    for row, observed in enumerate(observations):
+        assert observed["observation.images.front"].dtype == np.uint8
+        assert np.array_equal(observed["observation.images.front"], pictures[row])
