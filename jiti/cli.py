@@ -400,9 +400,14 @@ def curate(
         typer.Option("--filter", help="Keep only these episodes: 'reward == 1', 'success and frames < 400'."),
     ] = None,
     split: Annotated[
-        str, typer.Option("--split", help="Shares of train, validation and test, by episode.")
-    ] = "0.8,0.1,0.1",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the splits.")] = 0,
+        str | None,
+        typer.Option(
+            "--split",
+            help="Shares of train, validation and test, by episode. "
+            "Default: the splits that a dataset of jiti has, 0.8,0.1,0.1 for the rest.",
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Of the splits. Default: 0.")] = None,
     unseen: Annotated[
         list[str] | None,
         typer.Option("--unseen", help="A task that goes whole into the split `unseen`; may be repeated."),
@@ -653,7 +658,8 @@ def train_critic(
         dataset, out, config, features, steps, seed, workers, cache, evaluate, split, tuple(episodes or ())
     )
     with _progress("Evaluating" if evaluate else "Training") as progress:
-        done = evaluate_request(request, progress) if evaluate else train_request(request, progress)
+        work = evaluate_request if evaluate else train_request
+        done = _until_stopped(lambda: work(request, progress))
     print(done.to_json() if as_json else done)
 
 

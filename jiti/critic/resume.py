@@ -61,8 +61,14 @@ def begun_run(run: Path, settings: Settings) -> Begun | None:
             f"{found[0]} is damaged: {error!r}. Delete it; training goes on from the one before."
         ) from error
     if changed := [name for name in differences(old, settings) if name not in MAY_CHANGE]:
+        told = ", ".join(f"{name} ({_value(old, name)} there, {_value(settings, name)} asked for)" for name in changed)
         raise UsageError(
-            f"--out {run} holds a run with another {', '.join(changed)}. Name another folder, or pass the same "
-            "settings to go on with it."
+            f"--out {run} holds a run with another {told}. Name another folder, or pass the --config, --features and "
+            "--seed that it was begun with."
         )
     return Begun(found[0], config)
+
+
+def _value(settings: Settings, name: str) -> str:
+    section, _, key = name.partition(".")
+    return str(getattr(getattr(settings, section), key))

@@ -25,6 +25,7 @@ from jiti.critic.resume import begun_run
 from jiti.critic.settings import Settings
 from jiti.critic.settings_file import settings_to
 from jiti.critic.step import Batch, State, bellman_error, draw_noise, fit_to_data, init_state, to_batch, train_step
+from jiti.critic.stop import asked_to_stop
 from jiti.critic.team import Team
 from jiti.errors import SourceError
 from jiti.progress import Progress
@@ -47,6 +48,8 @@ class Trained:
     """Of the step that is kept as `RUN/model.safetensors`: `auc`, `bellman`, `step`; without `auc` where validation has
     no task with both verdicts, and empty without validation."""
     stopped_early: bool
+    steps: int = 0
+    """Of this call; 0 where the run had come to its end before."""
 
     def __str__(self) -> str:
         why = ", where validation had not become better for a while" if self.stopped_early else ""
@@ -58,6 +61,11 @@ class Trained:
                 else "by its Bellman error: no task of validation has verdicts of both kinds, so there is no AUC"
             )
             kept = f"step {self.best['step']:.0f} is kept, {known}"
+        if not self.steps:
+            return (
+                f"{self.run} had come to step {self.step}{why}: {kept}. Nothing was done; more --steps go on there"
+                f"{', and a larger run.patience' if self.stopped_early else ''}."
+            )
         return f"Trained to step {self.step}{why}: {kept}. Next: jiti train-critic --evaluate {self.run}"
 
 
@@ -74,7 +82,7 @@ def train(
     """Train a critic, or go on where `run` stands. `data` replaces what is read from `dataset`, for other splits.
 
     Raises SourceError for a dataset without labels, UsageError for a run that was made with other settings, data or
-    features.
+    features; KeyboardInterrupt after a signal to stop, once the step is done and kept.
     """
     team = Team(settings.run.device)
     team.check_batch(settings.run.batch)
@@ -102,31 +110,42 @@ def train(
     order = BatchOrder(frames, reaching, settings.run.batch, settings.data.decided_share, settings.run.seed)
     looking = _Looking(data, cache, checking, settings, team)
     metrics = Metrics(run, state.step) if team.leads else None
-    stopped = _enough(state, settings)
+    began_at, stopped = state.step, _enough(state, settings)
+
+    def keep() -> None:
+        if metrics:
+            metrics.flush(state.step)
+            save(state, checkpoint_folder(run, state.step))
+            drop_old(run)
+
     try:
-        while state.step < settings.run.steps and not stopped:
-            batch = _batch(data, cache, team.share(order.step(state.step)), critic, settings, team)
-            noise = draw_noise(settings, sizes.action, state.step, team)
-            told = train_step(state, batch, noise, settings, team)
-            step = state.step
-            if metrics and step % settings.run.log_every == 0:
-                metrics.add(step, {name: float(value) for name, value in told.items()})
-            progress(step / settings.run.steps, f"step {step} of {settings.run.steps}")
-            if step % settings.run.check_every == 0 or step == settings.run.steps:
-                seen, better = looking.look(state)
-                stopped = _enough(state, settings)
-                if metrics:
-                    metrics.add(step, {f"validation/{name}": value for name, value in seen.items()})
-                    metrics.flush(step)
-                    if better:
-                        save_critic(_kept(state, settings), run, {"step": step, "validation": seen})
-                    save(state, checkpoint_folder(run, step))
-                    drop_old(run)
-                team.wait()
+        with asked_to_stop() as asked:
+            while state.step < settings.run.steps and not stopped:
+                batch = _batch(data, cache, team.share(order.step(state.step)), critic, settings, team)
+                noise = draw_noise(settings, sizes.action, state.step, team)
+                told = train_step(state, batch, noise, settings, team)
+                step = state.step
+                if metrics and step % settings.run.log_every == 0:
+                    metrics.add(step, {name: float(value) for name, value in told.items()})
+                progress(step / settings.run.steps, f"step {step} of {settings.run.steps}")
+                if step % settings.run.check_every == 0 or step == settings.run.steps:
+                    seen, better = looking.look(state)
+                    stopped = _enough(state, settings)
+                    if metrics:
+                        metrics.add(step, {f"validation/{name}": value for name, value in seen.items()})
+                        if better:
+                            save_critic(_kept(state, settings), run, {"step": step, "validation": seen})
+                    keep()
+                    team.wait()
+                elif asked.to_stop:
+                    keep()
+                if asked.to_stop:
+                    raise KeyboardInterrupt(f"step {step} is kept")
     finally:
         if metrics:
             metrics.close()
-    return Trained(run, state.step, state.best, stopped and state.step < settings.run.steps)
+    early = stopped and state.step < settings.run.steps
+    return Trained(run, state.step, state.best, early, state.step - began_at)
 
 
 def open_data(data: ElegantData, settings: Settings) -> ElegantData:

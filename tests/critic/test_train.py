@@ -1,6 +1,7 @@
 """Training: learns a toy, goes on exactly as if it had not been stopped, and refuses what does not fit."""
 
 import json
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from jiti.critic.features import open_extractor
 from jiti.critic.features.cache import FeatureCache
 from jiti.critic.settings import Settings
 from jiti.critic.settings_file import settings_from
+from jiti.critic.stop import asked_to_stop
 from jiti.critic.train import train
 from jiti.durable import write_atomic
 from jiti.errors import JitiError, SaveFailed, SourceError, UsageError
@@ -69,6 +71,41 @@ def test_two_steps_and_two_more_are_four_steps_bit_for_bit(toy, sections):
     told = [pq.read_table(toy.parent / name / "metrics").sort_by("step").to_pylist() for name in ("whole", "parts")]
     assert told[0] == told[1]
     assert {row["step"] for row in told[0]} == {1, 2, 3, 4}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_stop_keeps_the_step_and_the_run_goes_on_bit_for_bit(toy, number):
+    before = signal.getsignal(number)
+
+    def stop(_share: float, said: str) -> None:
+        if said.startswith("step 3 "):
+            signal.raise_signal(number)
+
+    run(toy, "whole", small(6, run={"check_every": 4}))
+    with pytest.raises(KeyboardInterrupt, match="step 3 is kept"):
+        run(toy, "parts", small(6, run={"check_every": 4}), progress=stop)
+    assert signal.getsignal(number) == before
+    assert [folder.name for folder in checkpoints(toy.parent / "parts")] == ["step-00000003"]
+    done = run(toy, "parts", small(6, run={"check_every": 4}))
+    assert (done.step, done.steps) == (6, 3)
+    whole, parts = (checkpoints(toy.parent / name)[0] for name in ("whole", "parts"))
+    assert all(same(tensors, files(parts)[name]) for name, tensors in files(whole).items())
+    told = [pq.read_table(toy.parent / name / "metrics").sort_by("step").to_pylist() for name in ("whole", "parts")]
+    assert told[0] == told[1]
+
+
+def test_a_second_signal_to_stop_interrupts_at_once():
+    with asked_to_stop() as asked:
+        signal.raise_signal(signal.SIGINT)
+        assert asked.to_stop
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_run_that_had_ended_says_so(toy):
+    run(toy, "run", small(2))
+    assert "had come to step 2" in str(run(toy, "run", small(2)))
+    assert "Nothing was done; more --steps go on there." in str(run(toy, "run", small(2)))
 
 
 def test_seeds_differ_and_a_seed_repeats(toy):
@@ -134,7 +171,7 @@ def test_what_is_kept_values_chunks_in_the_recordings_units(toy):
 
 def test_a_run_goes_on_only_with_its_own_settings(toy):
     run(toy, "run", small(2))
-    with pytest.raises(UsageError, match=r"another loss\.alpha\. Name another folder"):
+    with pytest.raises(UsageError, match=r"another loss\.alpha \(1\.0 there, 2\.0 asked for\)\. Name"):
         run(toy, "run", small(4, loss={"alpha": 2.0}))
     (toy.parent / "mine").mkdir()
     (toy.parent / "mine/notes.txt").write_text("keep")
