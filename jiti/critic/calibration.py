@@ -51,12 +51,14 @@ def plot_calibration(found: Calibration, q: np.ndarray, mc_return: np.ndarray, t
 
     figure = Figure(figsize=(5.5, 5), layout="constrained")
     axes = figure.add_subplot()
-    axes.scatter(q, mc_return, s=2, alpha=0.15, linewidths=0, color="tab:blue", label="frames", rasterized=True)
-    axes.plot(found.bins_q, found.bins_return, "o-", color="tab:red", label="tenths of the frames by Q")
+    axes.scatter(q, mc_return, s=4, alpha=0.3, linewidths=0, color="tab:blue", label="a frame", rasterized=True)
+    axes.plot(found.bins_q, found.bins_return, "o-", color="tab:red", label="ten groups of equally many frames by Q")
     low, high = min(q.min(), mc_return.min()), max(q.max(), mc_return.max())
     axes.plot([low, high], [low, high], "--", color="gray", linewidth=1, label="Q = return")
     axes.set(xlabel="Q of the recorded chunk, least of the members", ylabel="Monte-Carlo return", title=title)
-    axes.legend(loc="upper left", fontsize="small", markerscale=2)
+    for handle in axes.legend(loc="upper left", fontsize="small").legend_handles:
+        if handle is not None:
+            handle.set_alpha(1)
     FigureCanvasAgg(figure)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=150)

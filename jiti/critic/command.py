@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jiti.critic.dataset import read_elegant
 from jiti.critic.settings_file import read_settings
 from jiti.errors import UsageError
 from jiti.progress import Progress
@@ -58,6 +59,8 @@ def train_request(request: Request, progress: Progress) -> Done:
         settings = replace(settings, data=replace(settings.data, features=request.features))
     run = {name: value for name in ("steps", "seed") if (value := getattr(request, name)) is not None}
     settings = replace(settings, run=replace(settings.run, **run))
+    data = read_elegant(request.dataset)  # before torch, which takes seconds, so that a wrong path is told at once
+    progress(0, "loading torch")
     from jiti.critic.train import train
 
     trained = train(
@@ -67,6 +70,7 @@ def train_request(request: Request, progress: Progress) -> Done:
         features_dir=request.cache,
         workers=request.workers,
         progress=progress,
+        data=data,
     )
     about = {"run": str(trained.run), "step": trained.step, "best": trained.best, "early": trained.stopped_early}
     return Done(str(trained), about)
@@ -78,6 +82,7 @@ def evaluate_request(request: Request, progress: Progress) -> Done:
     if wrong := [name for name in given if getattr(request, name) is not None]:
         raise UsageError(f"--{wrong[0]} is of training; --evaluate RUN takes what the run was trained with.")
     assert request.evaluate is not None
+    progress(0, "loading torch")
     from jiti.critic.evaluate import evaluate, to_json
 
     found = evaluate(

@@ -236,12 +236,12 @@ def _columns(root: Path, info: dict[str, Any]) -> pa.Table:
 
 def _read(path: Path, columns: list[str]) -> pa.Table:
     try:
-        table = pq.read_table(path, columns=columns)
+        # First, because Arrow takes the dot of a name that is not there for a path into a struct.
+        if missing := set(columns) - set(pq.read_schema(path).names):
+            raise SourceError(f"{path} has no column {sorted(missing)[0]}. Make the dataset again with `jiti curate`.")
+        return pq.read_table(path, columns=columns).replace_schema_metadata()
     except (OSError, pa.ArrowException) as error:
         raise SourceError(f"{path} cannot be read: {str(error)[:200]}. Copy the dataset again.") from error
-    if missing := set(columns) - set(table.column_names):
-        raise SourceError(f"{path} has no column {sorted(missing)[0]}. Make the dataset again with `jiti curate`.")
-    return table.replace_schema_metadata()
 
 
 def _flat(column: pa.ChunkedArray) -> np.ndarray:

@@ -38,11 +38,14 @@ from jiti.durable import make_folder, write_atomic
 from jiti.episodes.lerobot_index import episode_id_of
 from jiti.episodes.reader import open_reader
 from jiti.errors import SourceError, UsageError
+from jiti.nearest import nearest
 from jiti.progress import Progress
 
 LEADS = (0, 10, 20, 40)
 """Frames before the decided segment at which segments are ranked too. Our choice: a chunk, and 1 and 2 s at 20 Hz.
 What is decided is mostly not to be seen there: ranks that stay high come from how an episode was done until then."""
+FEW_PAIRS = 100
+"""Pairs of a satisfied and a violated segment under which a task's AUC is called coarse. Our choice: hundredths."""
 SHOWN = 2
 """Episodes shown in Rerun unless some are named. Our choice: one of each verdict."""
 BOUND_FRAMES = 2048
@@ -73,6 +76,9 @@ class Evaluation:
             auc = f"{decided.auc[task]:.2f}" if task in decided.auc else "   -"
             lines.append(f"  {auc}  {task} ({good} satisfied, {bad} violated)")
         lines.append(f"  {decided.average:.2f}  average of {len(decided.auc)} tasks, at the decided segment")
+        pairs = [good * bad for good, bad in decided.counts.values() if good and bad]
+        if pairs and min(pairs) < FEW_PAIRS:
+            lines.append(f"        few episodes: one pair that swaps moves a task by {1 / min(pairs):.2f}")
         for lead in LEADS[1:]:
             lines.append(f"  {self.rankings[lead].average:.2f}  {lead} frames ({lead / self.fps:.1f} s) earlier")
         lines.append(f"  {self.swapped.average:.2f}  with the chunks of another episode: what states alone tell")
@@ -102,6 +108,8 @@ def evaluate(
     Labels are those of the dataset, also for a run that learned from labels dealt anew; the discount is the run's. The
     run's device is used. Raises SourceError, and UsageError where a split that should be held out was learned from.
     """
+    if split not in (*SPLITS, ALL):
+        raise UsageError(f"there is no --split {split}; {nearest(split, (*SPLITS, ALL))}.")
     critic = load_critic(run)
     settings = settings_from(critic.config["settings"])
     device = _device(critic, settings)

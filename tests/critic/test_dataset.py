@@ -70,6 +70,12 @@ def test_a_dataset_without_rewards_is_refused(toy, missing):
         read_elegant(toy)
 
 
+def test_a_column_that_a_file_lacks_is_named(toy):
+    rewrite(toy, "next.reward", lambda _column: None)
+    with pytest.raises(SourceError, match=r"file-000\.parquet has no column next\.reward\. Make the dataset again"):
+        read_elegant(toy)
+
+
 def test_a_dataset_without_labels_is_refused(toy):
     rewrite(toy, "elegance.annotated", lambda column: pa.array([False] * len(column)))
     with pytest.raises(SourceError, match=r"no frame is annotated.*jiti annotate"):
