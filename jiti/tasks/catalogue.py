@@ -3,7 +3,7 @@
 import json
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from difflib import get_close_matches
 from functools import cache
@@ -74,10 +74,10 @@ class Catalogue:
     def simulated(self, name: str) -> Task:
         """The task of simulation with an id, or the only one whose id ends in `/name`. Raises CatalogueError."""
         tasks = [task for task in self.tasks if task.bddl]
-        found = [task for task in tasks if name in (task.task_id, task.task_id.rpartition("/")[2])]
+        found = ids_named(name, [task.task_id for task in tasks])
         if len(found) == 1:
-            return found[0]
-        ids = [task.task_id for task in (found or tasks)]
+            return self.task(found[0])
+        ids = found or [task.task_id for task in tasks]
         close = get_close_matches(name, [*ids, *(i.rpartition("/")[2] for i in ids)], 3, 0.5)
         hint = f"did you mean {' or '.join(close)}? " if close and not found else ""
         what = f"{name!r} is the end of several tasks' ids" if found else f"no task of simulation is {name!r}"
@@ -93,6 +93,12 @@ class Catalogue:
     def for_instruction(self, instruction: str | None) -> Task:
         """The task that matches, or one with an ITC for each criterion, so that every episode can be labelled."""
         return self.match(instruction) or generic_task(instruction)
+
+
+def ids_named(name: str, ids: Iterable[str]) -> list[str]:
+    """The id that is the name; else those that end in `/name`: none, the one that is meant, or several."""
+    known = list(ids)
+    return [name] if name in known else [one for one in known if one.rpartition("/")[2] == name]
 
 
 def load_catalogue(*extra: Path) -> Catalogue:

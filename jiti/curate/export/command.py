@@ -16,6 +16,7 @@ from jiti.curate.export.counted import MAJORITY, Rule
 from jiti.curate.export.curated import Added, Curated
 from jiti.curate.export.features_file import features_toml, read_features
 from jiti.curate.export.filter import Filter
+from jiti.curate.export.held_out import Dealt, splits_file
 from jiti.curate.export.plan import Choice, Plan, make_plan
 from jiti.curate.export.sources import Source, open_sources
 from jiti.curate.export.split import DEFAULT, parse_shares
@@ -47,8 +48,9 @@ class Request:
     features: Path | None = None
     fps: int | None = None
     condition: str | None = None
-    split: str = ",".join(f"{share:g}" for share in DEFAULT)
-    seed: int = 0
+    split: str | None = None
+    """Shares. Where this, the seed and `unseen` are all left out, a dataset of jiti keeps its splits."""
+    seed: int | None = None
     unseen: tuple[str, ...] = ()
     gamma: float = GAMMA
     codec: Name | None = None
@@ -128,9 +130,12 @@ def prepare(request: Request, progress: Progress = lambda _share, _what: None) -
         keep_unlabelled=request.unlabelled == "keep",
         features=read_features(request.features) if request.features else None,
         condition=Filter(request.condition) if request.condition else None,
-        shares=parse_shares(request.split),
-        seed=request.seed,
-        unseen=request.unseen,
+        dealt=Dealt(
+            parse_shares(request.split) if request.split is not None else DEFAULT,
+            request.seed or 0,
+            request.unseen,
+            anew=request.split is not None or request.seed is not None or bool(request.unseen),
+        ),
     )
     sources = open_sources(request.sources, labels=request.labels, tasks=request.tasks or None, rule=rule)
     plan = make_plan(sources, choice, progress)
@@ -161,6 +166,8 @@ def write(prepared: Prepared, progress: Progress = lambda _share, _what: None) -
         splits=dict(Counter(episode.split for episode in plan.episodes)),
         unlabelled=plan.unlabelled,
         filtered=plan.filtered,
+        splits_kept=plan.splits_kept,
+        splits_anew=tuple(s.name for s in prepared.sources if splits_file(s) and s.name not in plan.splits_kept),
         notes=(*plan.notes, *notes),
         weights=out / WEIGHTS_FILE if prepared.request.weights else None,
     )
@@ -205,9 +212,10 @@ def _about(request: Request, choice: Choice, sources: Sequence[Source], plan: Pl
             "unlabelled": request.unlabelled,
             "resampled": plan.resampled,
             "filter": request.condition,
-            "split": list(choice.shares),
-            "seed": request.seed,
+            "split": list(choice.dealt.shares),
+            "seed": choice.dealt.seed,
             "unseen": list(request.unseen),
+            "splits_kept": list(plan.splits_kept),
             "codec": asdict(choice.codec) if choice.codec else None,
             "weights": request.weights,
         },

@@ -20,6 +20,10 @@ class Curated:
     unlabelled: int
     filtered: int
     notes: tuple[str, ...]
+    splits_kept: tuple[str, ...] = ()
+    """Datasets of jiti whose splits were kept."""
+    splits_anew: tuple[str, ...] = ()
+    """Datasets of jiti whose splits were dealt anew."""
     weights: Path | None = None
     report: Path | None = None
 
@@ -29,6 +33,11 @@ class Curated:
             f"{self.episodes} episodes, {self.frames} frames at {self.fps} Hz in {self.out}.",
             f"{self.elegant} of {self.judged} judged episodes are elegant; splits: {splits}.",
         ]
+        if self.splits_kept:
+            kept = ", ".join(self.splits_kept)
+            lines.append(f"Splits are those of {kept}; --split, --seed or --unseen deals all of them anew.")
+        if self.splits_anew:
+            lines.append(f"Splits were dealt anew; those of {', '.join(self.splits_anew)} were not kept.")
         if self.unlabelled:
             lines.append(f"Left out: {self.unlabelled} episodes without labels that count (--unlabelled keep).")
         if self.filtered:

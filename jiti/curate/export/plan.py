@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,10 @@ from jiti.curate.export.digest import digest_of
 from jiti.curate.export.features import Feature, Shape, shapes
 from jiti.curate.export.filter import Filter
 from jiti.curate.export.frames import Frames, frames_of, moved, whole_rate
+from jiti.curate.export.held_out import Dealt, recorded_splits, splits_of
 from jiti.curate.export.outcome import recorded_success
 from jiti.curate.export.planned import Opened, PlannedEpisode, segments_table
 from jiti.curate.export.sources import Source
-from jiti.curate.export.split import split_episodes
 from jiti.curate.returns import mc_returns
 from jiti.curate.rewards import rewards_of
 from jiti.curate.verdicts import spans
@@ -49,9 +49,7 @@ class Choice:
     keep_unlabelled: bool = False
     features: tuple[Feature, ...] | None = None
     condition: Filter | None = None
-    shares: tuple[float, float, float] = (0.8, 0.1, 0.1)
-    seed: int = 0
-    unseen: tuple[str, ...] = ()
+    dealt: Dealt = field(default_factory=Dealt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +66,8 @@ class Plan:
     """Episodes left out because nothing counts of them."""
     filtered: int
     """Episodes left out by the filter."""
+    splits_kept: tuple[str, ...]
+    """Sources whose recorded splits are kept."""
     notes: tuple[str, ...]
     """What a person should know."""
     digest: str
@@ -86,6 +86,7 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
     unlabelled = 0
     total = sum(len(source.reader.episodes()) for source in sources)
     done = 0
+    recorded = {} if choice.dealt.anew else recorded_splits(sources)
     for source in sources:
         _check_labels(source)
         for ref in source.reader.episodes():
@@ -104,7 +105,7 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
             raise _no_labels(source, choice)
     fps = choice.fps or common_rate(found)
     check_shapes(found)
-    return _finished(found, fps, choice, unlabelled, notes)
+    return _finished(found, fps, choice, unlabelled, recorded, notes)
 
 
 def _check_labels(source: Source) -> None:
@@ -227,17 +228,12 @@ def _finished(
     fps: int,
     choice: Choice,
     unlabelled: int,
+    recorded: Mapping[str, Mapping[str, str]],
     notes: list[str],
 ) -> Plan:
     episodes = [opened.planned for opened in found]
-    known = {name for episode in episodes for name in (episode.task_id, episode.instruction)}
-    if missing := [name for name in choice.unseen if name not in known]:
-        there = ", ".join(sorted({e.task_id or e.instruction for e in episodes}))
-        raise UsageError(f"--unseen {missing[0]}: no episode has that task; there are: {there}.")
-    unseen = [bool({episode.task_id, episode.instruction} & set(choice.unseen)) for episode in episodes]
-    strata = [(episode.task_id or episode.instruction, episode.reward) for episode in episodes]
     # Before the filter, so that filtered and whole data have the same episodes held out.
-    names = split_episodes(strata, unseen, choice.shares, choice.seed)
+    names = splits_of(episodes, choice.dealt, recorded)
     episodes = [replace(episode, split=name) for episode, name in zip(episodes, names, strict=True)]
     kept = [episode for episode in episodes if choice.condition is None or choice.condition(episode.values(fps))]
     if not kept and choice.condition is not None:
@@ -255,6 +251,7 @@ def _finished(
         tuple({task.task_id: task for episode in placed if (task := episode.task)}.values()),
         unlabelled,
         len(episodes) - len(kept),
+        tuple(name for name in recorded if any(episode.source == name for episode in placed)),
         tuple(notes),
         digest_of(placed, found[0].shapes, [fps, choice.gamma, choice.rule, choice.codec and asdict(choice.codec)]),
     )

@@ -201,11 +201,17 @@ def _made(facts: Facts) -> Iterator[str]:
         ("rule", about["rule"]),
         ("left out", ", ".join(f"{count} {why}" for why, count in about["left_out"].items() if count) or "nothing"),
         ("filter", about["options"]["filter"] or "none"),
-        ("splits", f"{about['options']['split']}, seed {about['options']['seed']}"),
+        ("splits", _dealt(about["options"])),
         ("digest of all inputs", about["digest"]),
         ("versions", ", ".join(f"{name} {version}" for name, version in about["versions"].items())),
     ]
     yield table(("", ""), rows)
+
+
+def _dealt(options: dict[str, Any]) -> str:
+    kept = options.get("splits_kept", [])  # not in datasets that were made before splits were kept
+    told = [f"those of {', '.join(kept)}"] if kept else []
+    return "; ".join([*told, f"{'else ' if kept else ''}{options['split']}, seed {options['seed']}"])
 
 
 def _by_verdict(episodes: Sequence[EpisodeFacts], value: Any) -> Series:
