@@ -1,7 +1,9 @@
 """Who acts in a rollout: a sampler of a frozen policy, and a critic where one is asked."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,9 +77,10 @@ def open_agent(plan: RolloutPlan, observation: Observation) -> Agent:
     from jiti.runtime.candidates import check_pair, open_sampler, open_scorer
 
     torch.set_num_threads(1)
-    sampler = open_sampler(plan.policy, plan.device)
-    if plan.critic is None:
-        return Agent(sampler)
-    scorer = open_scorer(plan.critic, plan.device)
+    with redirect_stdout(StringIO()):  # where lerobot says that it loads weights, and `--json` is printed
+        sampler = open_sampler(plan.policy, plan.device)
+        if plan.critic is None:
+            return Agent(sampler)
+        scorer = open_scorer(plan.critic, plan.device)
     check_pair(sampler, scorer, observation)
     return Agent(sampler, scorer)
