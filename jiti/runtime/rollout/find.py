@@ -14,6 +14,8 @@ from jiti.tasks.catalogue import Catalogue
 from jiti.tasks.task import Task
 
 WEIGHTS = "model.safetensors"
+GUIDED = "jiti"
+"""lerobot's type of a base policy and a critic in one."""
 DEEPEST = 6
 """Folders below the current one that are looked into. Our choice: a run of lerobot-train has its checkpoints at 3."""
 
@@ -62,9 +64,10 @@ def _age(path: Path) -> tuple[float, str]:
 
 
 def _is_policy(folder: Path) -> bool:
-    """lerobot's checkpoints name their type; where a critic's features or a VLM lie, others do not."""
+    """lerobot's checkpoints name their type, other models do not. JITI around a policy is guided already."""
     config = _config(folder)
-    return isinstance(config.get("type"), str) and isinstance(config.get("output_features"), dict)
+    kind = config.get("type")
+    return isinstance(kind, str) and kind != GUIDED and isinstance(config.get("output_features"), dict)
 
 
 def _is_critic(folder: Path) -> bool:

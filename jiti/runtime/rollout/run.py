@@ -16,7 +16,7 @@ from jiti.progress import Progress
 from jiti.runtime.guidance import Guidance
 from jiti.runtime.rollout.agent import Agent, OpenAgent, open_agent
 from jiti.runtime.rollout.plan import RolloutPlan
-from jiti.runtime.rollout.plan_file import enter_plan
+from jiti.runtime.rollout.plan_file import enter_plan, read_plan
 from jiti.runtime.rollout.play import Watcher, lerobot_keys, play
 from jiti.runtime.rollout.recorder import Recorder
 from jiti.runtime.rollout.result import RESULT_SUFFIX, Rollout, load_result, rollout_of, save_result, write_tables
@@ -166,7 +166,8 @@ def is_whole(job: Job) -> bool:
 
 def all_rollouts(folder: Path) -> list[Rollout]:
     """Every whole rollout of a folder, by guidance, then seed. Raises SourceError."""
-    return [load_result(path) for path in sorted(folder.glob(f"*/[!.]*{RESULT_SUFFIX}"))]
+    labels = sorted(read_plan(folder)["methods"])
+    return [load_result(path) for label in labels for path in sorted((folder / label).glob(f"[!.]*{RESULT_SUFFIX}"))]
 
 
 def play_job(job: Job, watchers: Sequence[Watcher] = ()) -> Rollout:

@@ -77,6 +77,8 @@ def test_the_newest_policy_critic_and_recorded_task_are_found(here):
 @pytest.mark.sim
 def test_without_options_it_says_what_it_takes_calibrates_and_compares(here, tmp_path):
     short = replace(SHORT, seed=None, most_steps=15, out=tmp_path / "out")
+    (tmp_path / "out/branch").mkdir(parents=True)
+    (tmp_path / "out/branch/plan.json").write_text("{}")  # of --branch, which is beside the guidances
     report, said = ask(short, here)
     assert isinstance(report, Report)
     assert said[0].startswith("task elegant/T2, as the newest recording under ")

@@ -271,6 +271,14 @@ def test_actions_that_are_no_numbers_end_the_run_with_the_seed_and_leave_no_file
     assert not list((tmp_path / "out").glob("*/*"))
 
 
+@pytest.mark.slow
+@sim
+def test_an_error_in_one_process_ends_all_and_is_told_as_it_is(plan, tmp_path):
+    with pytest.raises(UsageError, match="no number at step 0 of the episode with seed"):
+        run_rollouts(plan, tmp_path / "out", episodes=2, workers=2, make_agent=rollout_agents.broken)
+    assert len(pq.read_table(tmp_path / "out/rollouts.parquet")) == 0
+
+
 def test_what_cannot_be_played_is_said(plan, policy, tmp_path):
     with pytest.raises(UsageError, match="needs a critic: pass --critic"):
         replace(plan, critic=None)
