@@ -67,7 +67,7 @@ def _live_layout(cameras: Sequence[str]) -> Any:
         rrb.TimeSeriesView(origin="jumps", name="jump of Q, tau"),
         rrb.Tabs(rrb.TextLogView(origin="said", name="decisions"), rrb.TextDocumentView(origin="about", name="about")),
     ]
-    panels = [panel(state="collapsed") for panel in (rrb.SelectionPanel, rrb.BlueprintPanel)]
+    panels = [panel(state="collapsed") for panel in (rrb.SelectionPanel, rrb.BlueprintPanel, rrb.TimePanel)]
     return rrb.Blueprint(rrb.Vertical(rrb.Horizontal(*above), rrb.Horizontal(*below), row_shares=[3, 2]), *panels)
 
 
@@ -95,14 +95,14 @@ def said(decided: Decided) -> str:
     """A decision in words."""
     d = decided.decision
     if d.problem:
-        return f"step {decided.frame}: {d.problem}; the default is executed"
+        return f"default: {d.problem}"
     if not np.isfinite(d.q_t):
-        return f"step {decided.frame}: the default is executed; no critic was asked"
-    value = f"step {decided.frame}: Q {d.q_t:.3f}, mean before {d.q_bar:.3f}"
+        return "default: no critic was asked"
+    value = f"Q {d.q_t:.3f}, mean before {d.q_bar:.3f}"
     if not d.values:
-        return f"{value}: {'nothing to choose from' if d.triggered else 'the default is executed'}"
-    which = "the default" if d.chosen == 0 else f"candidate {d.chosen}"
-    return f"{value}: looked at {len(d.values)}, took {which} with Q {d.values[d.chosen]:.3f}"
+        return f"default: {value}{', nothing to choose from' if d.triggered else ''}"
+    which = f"candidate {d.chosen}" if d.chosen else "default"
+    return f"{which} of {len(d.values)}, Q {d.values[d.chosen]:.3f}: {value}"
 
 
 def draw_state(
@@ -166,7 +166,7 @@ def write_branches(path: Path, branches: Mapping[str, Branch], *, cameras: bool)
             rrb.Spatial3DView(origin="scene", name="all hands"),
             rrb.TimeSeriesView(origin="values", name="Q of the default, triggers"),
         ]
-        panels = [panel(state="collapsed") for panel in (rrb.SelectionPanel, rrb.BlueprintPanel)]
+        panels = [panel(state="collapsed") for panel in (rrb.SelectionPanel, rrb.BlueprintPanel, rrb.TimePanel)]
         rows = rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(*below), row_shares=[3, 2])
         recording.send_blueprint(rrb.Blueprint(rows, *panels), make_active=True)
         recording.disconnect()
@@ -184,7 +184,9 @@ def _draw_branch(recording: "rr.RecordingStream", pick: str, branch: Branch, col
     names = list(branch.things_m)
     if names:
         things = f"scene/{pick}/things"
-        recording.log(things, rr.Points3D.from_fields(colors=_THING, radii=0.012, labels=names), static=True)
+        # Without names in the picture, which would lie there once for each way.
+        shape = rr.Points3D.from_fields(colors=_THING, radii=0.012, labels=names, show_labels=False)
+        recording.log(things, shape, static=True)
         places = np.stack([branch.things_m[name] for name in names], axis=1).reshape(-1, 3)
         columns = rr.Points3D.columns(positions=places).partition(np.full(steps, len(names)))
         recording.send_columns(things, [index], columns)
