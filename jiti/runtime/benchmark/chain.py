@@ -59,7 +59,7 @@ class Chain:
                 seen[stage.key] = reviewed(self.work.folder(stage))
             return seen[stage.key]
 
-        return Stages(self.plan, self.catalogue, pack_name(self.pack), decided)
+        return Stages(self.plan, self.catalogue, pack_name(self.pack), decided, self.work.flat)
 
     @property
     def pack(self) -> str:

@@ -8,11 +8,13 @@ from html import escape
 from jiti.runtime.rollout.summary import Rate
 
 WIDTH = 940
-NAMES, ROW, GROUP_GAP, TOP, RIGHT = 250, 20, 12, 10, 150
+NAMES, ROW, GROUP_GAP, TOP, RIGHT = 250, 20, 12, 10, 200
 COLOURS = 8
 """Of columns, in the page's style; more begin again."""
 
 STYLE = """
+body { max-width: 1280px }
+td:first-child, td.n { white-space: nowrap }
 .c0 { fill: #7a8699 } .c1 { fill: #3f6fb0 } .c2 { fill: #b08a3f } .c3 { fill: #2a8f5b } .c4 { fill: #8a5bb0 }
 .c5 { fill: #c8503c } .c6 { fill: #4aa3a8 } .c7 { fill: #a8527f }
 .whisker { stroke: var(--ink, #1c2330); stroke-width: 1.4; fill: none }
@@ -92,7 +94,7 @@ def _bar(bar: Bar, y: float, room: float, kind: str) -> list[str]:
 
 def sweep_chart(points: Sequence[Point]) -> str:
     """ESR over multiples of tau, on a logarithmic axis."""
-    height, left, right, top, bottom = 320, 60, 30, 14, 62
+    height, left, right, top, bottom = 320, 60, 60, 14, 62
     scales = [math.log10(point.scale) for point in points]
     first, last = min(scales), max(scales)
 
@@ -114,7 +116,7 @@ def sweep_chart(points: Sequence[Point]) -> str:
     for point in points:
         at = x(point.scale)
         below = height - bottom + 18
-        parts.append(f'<text x="{at:.1f}" y="{below}" text-anchor="middle">tau x {point.scale:g}</text>')
+        parts.append(f'<text x="{at:.1f}" y="{below}" text-anchor="middle">{point.scale:g} tau</text>')
         if point.paper is not None:
             parts.append(_diamond(at, y(point.paper), f"paper: {100 * point.paper:g}"))
         if point.rate is None:
@@ -128,7 +130,7 @@ def sweep_chart(points: Sequence[Point]) -> str:
             f'<text x="{at + 9:.1f}" y="{y(point.rate.value) - 7:.1f}">{told}</text>'
         )
         if point.interventions is not None:
-            share = f"{100 * point.interventions:.0f}% of decisions"
+            share = f"{100 * point.interventions:.0f}%"
             parts.append(f'<text x="{at:.1f}" y="{below + 16}" text-anchor="middle">{share}</text>')
     return _svg(parts, WIDTH, height)
 

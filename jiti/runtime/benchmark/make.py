@@ -33,9 +33,9 @@ SIMULATOR = "sim"
 
 
 def recordings_plan(plan: BenchmarkPlan, catalogue: Catalogue, task: str, assets: str | None) -> Plan:
-    """Of the demonstrations of a task; without cameras, for the recipes see states."""
+    """Of the demonstrations of a task."""
     data = plan.data
-    return Plan(catalogue.task(task), quality=data.quality, seed=data.seed, start=data.start, assets=assets, cameras=())
+    return Plan(catalogue.task(task), data.quality, data.seed, data.start, assets, data.cameras)
 
 
 def make_recordings(

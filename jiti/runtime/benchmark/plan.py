@@ -8,7 +8,7 @@ from jiti.errors import UsageError
 from jiti.policies.recipe import RECIPES
 from jiti.runtime.guidance import CANDIDATES, WINDOW, Method, Pick
 from jiti.runtime.sim.env import MOST_STEPS
-from jiti.runtime.sim.scene import Start
+from jiti.runtime.sim.scene import CAMERAS, Start
 
 Data = Literal["all", "filtered", "weighted"]
 """What a base policy learns from: every demonstration, those with reward 1 (the paper's Filtered Data), or every one
@@ -31,6 +31,8 @@ class DataPlan:
     """Of the first episode of each task."""
     start: Start = "jitter"
     assets: str = "primitive"
+    cameras: tuple[str, ...] = ()
+    """Rendered in recordings and rollouts, for policies that look; none is several times faster."""
 
     def __post_init__(self) -> None:
         if not self.tasks:
@@ -38,6 +40,8 @@ class DataPlan:
         _at_least("data.episodes", self.episodes, 1)
         _at_least("data.seed", self.seed, 0)
         _one_of("data.start", self.start, get_args(Start))
+        for camera in self.cameras:
+            _one_of("data.cameras", camera, tuple(CAMERAS))
         if not 0 <= self.quality <= 1:
             raise UsageError(f"data.quality is {self.quality}; it must be from 0 to 1")
 
@@ -117,6 +121,8 @@ class RolloutsPlan:
     candidates: int = CANDIDATES
     window: int = WINDOW
     most_steps: int = MOST_STEPS
+    device: str = "cpu"
+    """Of policy and critic."""
 
     def __post_init__(self) -> None:
         for name in ("episodes", "tuning_episodes", "candidates", "window", "most_steps"):

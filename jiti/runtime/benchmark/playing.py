@@ -1,14 +1,14 @@
 """tau and rollouts: `jiti.runtime.rollout` for every cell, on all cores.
 
-Where there are as many groups of cells as cores, each core plays a group of its own, for to start a process takes
-longer than an episode; else a group's episodes are spread over the cores.
+Where there are many groups of cells, each core plays groups of its own, for to start a process takes longer than an
+episode; where there are few, a group's episodes are spread over the cores.
 """
 
 import json
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from jiti.durable import make_folder, write_atomic
@@ -85,7 +85,9 @@ class Table:
             self.plan.seed,
             self.plan.data.start,
             self.assets,
-            most_steps=self.plan.rollouts.most_steps,
+            self.plan.data.cameras,
+            self.plan.rollouts.most_steps,
+            self.plan.rollouts.device,
         )
         return Game(rollouts, self.work.folder(stage), self.plan.episodes, self.record)
 
@@ -102,7 +104,9 @@ class Table:
                     self.plan.tau.seed,
                     self.plan.data.start,
                     self.assets,
-                    most_steps=self.plan.rollouts.most_steps,
+                    self.plan.data.cameras,
+                    self.plan.rollouts.most_steps,
+                    self.plan.rollouts.device,
                 ),
                 self.work.folder(stage) / scene["task"].replace("/", "-"),
                 self.plan.tau.episodes,
@@ -114,7 +118,7 @@ class Table:
         """tau of episodes that are played, kept in the stage's folder and with the critic. Raises JitiError."""
         games = self.looking(stage)
         found = calibrate(
-            [replace(game.plan) for game in games],
+            [game.plan for game in games],
             self.work.folder(stage),
             rate=self.plan.tau.rate,
             window=self.plan.rollouts.window,
@@ -145,7 +149,7 @@ def play_all(games: Sequence[Game], workers: int, progress: Progress) -> None:
         return
     for game in missing:
         make_folder(game.folder)
-    if len(missing) < workers or workers == 1:
+    if len(missing) < 2 * workers or workers == 1:
         for place, game in enumerate(missing):
 
             def part(share: float, what: str, place: int = place) -> None:
@@ -195,8 +199,3 @@ class _counted:
     def __exit__(self, *_error: object) -> None:
         self._end.set()
         self._thread.join()
-
-
-Taus = Mapping[str, float]
-"""By the key of the stage."""
-Told = Callable[[Stage, Calibration], None]

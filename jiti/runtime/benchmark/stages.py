@@ -67,6 +67,8 @@ class Stages:
     pack: str
     """Name of the asset pack."""
     reviewed: Reviewed = lambda _stage: ""
+    together: bool = False
+    """Whether all methods of a policy and a critic are played in one folder, as `jiti rollout` does."""
 
     def recordings(self, task: str) -> Stage:
         data = self.plan.data
@@ -141,11 +143,12 @@ class Stages:
         inputs: dict[str, Any] = {**self._scene(task), "seed": self.plan.seed, "most_steps": plan.most_steps}
         needs = (self.policy(column.data, seed),)
         name = f"{column.data}-{seed}"
-        if column.method != "none":
-            inputs |= {"method": column.method, "candidates": plan.candidates, "window": plan.window}
+        method = "together" if self.together else column.method
+        if method != "none":
+            inputs |= {"method": method, "candidates": plan.candidates, "window": plan.window}
             needs += (self.critic(column.rewards),)
-            name += f"-{column.rewards}-{column.method}"
-        if column.method == "jiti":
+            name += f"-{column.rewards}" + ("" if self.together else f"-{method}")
+        if method in ("jiti", "together"):
             inputs["scale"] = column.tau_scale
             needs += (self.tau(column, task, seed),)
             name += "" if column.tau_scale == 1 else f"-x{column.tau_scale:g}"
@@ -159,6 +162,7 @@ class Stages:
             "goals": {itc.itc_id: itc.goal for itc in known.itcs},
             "start": self.plan.data.start,
             "assets": self.pack,
+            "cameras": list(self.plan.data.cameras),
         }
 
 

@@ -55,8 +55,8 @@ def make_report(
 ) -> Report:
     """The report of what is there. `made` is how, as names and values; `stages` are sections on data and training."""
     sections = [
-        Section("Elegant success rate", tuple(_by_task(plan, results))),
         Section("Averages", tuple(_averages(plan, results))),
+        Section("Elegant success rate", tuple(_by_task(plan, results))),
     ]
     if plan.groups:
         sections.append(Section("Groups of tasks", tuple(_groups(plan, results))))
@@ -266,7 +266,7 @@ def _sweep(plan: BenchmarkPlan, results: Results) -> tuple[str | Chart, ...] | N
         share = effort(own).share if own else None
         points.append(Point(column.tau_scale, rate(own) if own else None, _paper(column, AVERAGE), share))
     return (
-        "Average ESR over the calibrated tau times 0.01 to 10; the paper's points are its own.",
+        "Average ESR over multiples of the calibrated tau, and the share of decisions that exceeded it.",
         Chart("tau", sweep_chart(points)),
     )
 

@@ -126,7 +126,9 @@ def _start(work: Work, stage: Stage, plan: BenchmarkPlan) -> _Running:
                 shutil.rmtree(place)
     path, log = (folder.with_name(f"{folder.name}{suffix}") for suffix in (".job.json", ".log"))
     path.write_text(json.dumps({**job, "parent": os.getpid()}, indent=1))
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": os.environ.get("HF_HUB_OFFLINE", "1")}
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    if plan.policy.recipe == "state_flow":  # which begins from nothing: lerobot would ask the Hub all the same
+        environment.setdefault("HF_HUB_OFFLINE", "1")
     file = log.open("wb")
     command = [sys.executable, "-m", "jiti.runtime.benchmark.trainer", str(path.absolute())]
     # Ctrl-C reaches every process of a terminal; this one ends them itself.

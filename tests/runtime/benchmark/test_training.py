@@ -1,0 +1,63 @@
+"""A training that fails says why, and one that is stopped leaves no process."""
+
+import os
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from jiti.errors import UsageError
+from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, DataPlan
+from jiti.runtime.benchmark.training import critic_job, policy_job, train_all
+from tests.builders.benchmark import chain_of
+
+PLAN = BenchmarkPlan(
+    "one", "One", DataPlan(("elegant/T2",)), (Column("end", method="jiti", rewards="sparse", data="weighted"),)
+)
+
+
+def stages(tmp_path):
+    chain = chain_of(PLAN, tmp_path)
+    return chain.work, chain.stages.policy("weighted", 3), chain.stages.critic("sparse")
+
+
+def test_jobs_say_what_the_plan_says(tmp_path):
+    work, policy, critic = stages(tmp_path)
+    arguments = policy_job(work, policy, PLAN)["arguments"]
+    assert {"--seed=3", "--steps=6000", "--sample_weighting.type=rabc"} <= set(arguments)
+    assert any(one.startswith("--output_dir=") and one.endswith(".partial") for one in arguments)
+    job = critic_job(work, critic, PLAN)
+    assert job["settings"] == {"run": {"steps": 6000, "seed": 0}, "data": {"rewards": "success"}}
+    assert job["recipe"] == "state"
+
+
+@pytest.mark.slow
+def test_a_training_that_fails_says_why_and_where_the_rest_is(tmp_path):
+    pytest.importorskip("torch", reason="needs pip install 'jiti[learn]'")
+    work, _, critic = stages(tmp_path)
+    finished: list[str] = []
+    with pytest.raises(UsageError, match=r"training critic sparse failed: .*no LeRobot dataset.*\.log"):
+        train_all(work, [critic], PLAN, 1, lambda stage, *_: finished.append(stage.name), lambda *_: None)
+    assert finished == []
+    assert work.done(critic) is None
+
+
+@pytest.mark.slow
+def test_a_training_ends_with_the_process_that_asked_for_it(tmp_path):
+    code = (
+        "import subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import os, time; from jiti.runtime.benchmark.trainer import "
+        "end_with; end_with(os.getppid()); time.sleep(60)'], start_new_session=True)\n"
+        "print(child.pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    asking = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=os.environ)
+    assert asking.stdout is not None
+    child = psutil.Process(int(asking.stdout.readline()))
+    time.sleep(5)
+    asking.kill()
+    asking.wait()
+    asking.stdout.close()
+    child.wait(20)
