@@ -154,6 +154,9 @@ def validate_rewards(
         tuple[str, str] | None, typer.Option("--agreement", metavar="A B", help="Compare two annotators.")
     ] = None,
     write: Annotated[bool, typer.Option("--write", help="Write rewards and returns to rewards.parquet.")] = False,
+    confirm: Annotated[
+        bool, typer.Option("--confirm", help="Say that the labels fit recordings that were changed since.")
+    ] = False,
     gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the return.")] = 0.98,
     as_json: Json = False,
 ) -> None:
@@ -163,17 +166,23 @@ def validate_rewards(
     """
     from jiti.annotate.web.session import open_session
 
-    if sum((check, write, agreement is not None)) > 1:
-        raise UsageError("--check, --write and --agreement A B are three commands: pass one of them.")
+    if sum((check, write, confirm, agreement is not None)) > 1:
+        raise UsageError("--check, --write, --confirm and --agreement A B are four commands: pass one of them.")
     if as_json and not (check or agreement):
         raise UsageError("--json needs --check or --agreement A B.")
-    if labels is not None and not labels.exists() and (check or write or agreement):
+    if labels is not None and not labels.exists() and (check or write or confirm or agreement):
         raise UsageError(f"--labels {labels} does not exist: there is nothing to check.")
     session = open_session(source, annotator=annotator, labels=labels, tasks=tasks)
     if agreement:
         from jiti.annotate.agreement import compare_labels, print_agreement
 
         print_agreement(compare_labels(session.store.labels_dir, *agreement), as_json=as_json)
+    elif confirm:
+        from jiti.annotate.confirm import confirm_recordings
+
+        with _progress("Opening recordings") as progress:
+            changed = confirm_recordings(session, progress)
+        print(f"Confirmed the labels of {len(changed)} episodes whose recordings were changed.")
     elif write:
         from jiti.curate.rewards_file import write_rewards
 

@@ -327,6 +327,14 @@ def test_a_dataset_is_curated_in_one_command(run: Run, tmp_path: Path) -> None:
     assert json.loads(run("inspect", "e", "--json").stdout)["episodes"][1]["frame_count"] == 36
 
 
+def test_labels_of_changed_recordings_are_confirmed(run: Run, tmp_path: Path) -> None:
+    demos = write_picks(tmp_path / "demos", [[(5, 14, 1)]])
+    write_picks(demos, [None], instruction="pick the red cube")
+    refused(run("curate", "demos", "--out", "d"), "`jiti validate-rewards demos --confirm`")
+    assert "Confirmed the labels of 1 episodes" in run("validate-rewards", "demos", "--confirm").stdout
+    assert run("curate", "demos", "--out", "d").returncode == 0
+
+
 def test_the_current_folder_is_curated_and_the_mapping_printed(run: Run, tmp_path: Path) -> None:
     write_picks(tmp_path, [[(5, 14, 1)]])
     done = run("curate", "--print-features")

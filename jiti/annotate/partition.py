@@ -92,9 +92,10 @@ class Partition:
             return self._truth.problems
         changed = Problem(
             str(self._parquet),
-            f"the labels were made on a recording of {then.frame_count} frames with fingerprint {then.fingerprint}; "
-            f"the one here has {now.frame_count} frames and fingerprint {now.fingerprint}",
-            "Check that the segments still fit, or open the recording that they were made on.",
+            f"the labels were made on a recording of {then.frame_count} frames with fingerprint {then.fingerprint[:8]};"
+            f" the one here has {now.frame_count} frames and fingerprint {now.fingerprint[:8]}",
+            "Check that the segments still fit and say so with `jiti validate-rewards --confirm`, or open the "
+            "recording that they were made on.",
         )
         return (*self._truth.problems, changed)
 

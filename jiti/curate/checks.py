@@ -80,14 +80,17 @@ def _other_recordings(labels: Labels, recordings: Mapping[str, Recording]) -> It
         before = first.setdefault(episode_id, (annotator, fingerprint))
         if now is not None and now.fingerprint != fingerprint:
             what = (
-                f"the labels were made on a recording of {frame_count} frames with fingerprint {fingerprint}; "
-                f"the one here has {now.frame_count} frames and fingerprint {now.fingerprint}"
+                f"the labels were made on a recording of {frame_count} frames with fingerprint {fingerprint[:8]}; "
+                f"the one here has {now.frame_count} frames and fingerprint {now.fingerprint[:8]}"
             )
         elif now is None and before[1] != fingerprint:
             what = f"{annotator} and {before[0]} labelled different recordings under this name"
         else:
             continue
-        remedy = "Check that the segments still fit, or restore the recording that was labelled."
+        remedy = (
+            "Check that the segments still fit and say so with `jiti validate-rewards --confirm`, or restore the "
+            "recording that was labelled."
+        )
         yield suspect("other_recording", "error", 1, what, remedy, episode_id=episode_id, annotator=annotator)
 
 

@@ -49,7 +49,9 @@ def test_a_source_without_labels_names_the_command_that_makes_them(tmp_path):
     assert "jiti annotate" in said
     assert "jiti autolabel" in said
     propose(demos, "pick_0", GOOD)
-    assert "--accept sim" in refused(LabelError, demos, out=tmp_path / "d")
+    said = refused(LabelError, demos, out=tmp_path / "d")
+    assert "--accept sim" in said
+    assert "jiti autolabel" not in said
 
 
 def test_labels_of_an_episode_that_does_not_exist(picks, tmp_path):
@@ -62,7 +64,25 @@ def test_labels_of_an_episode_that_does_not_exist(picks, tmp_path):
 def test_labels_of_another_recording(picks, tmp_path):
     (picks / "pick_1.mcap").write_bytes((picks / "pick_0.mcap").read_bytes())
     said = refused(LabelError, picks, out=tmp_path / "d")
-    assert "pick_1.mcap: the labels were made on a recording of 36 frames" in said
+    assert "pick_1.mcap: the recording was changed after it was labelled (it had 36 frames and has 30)" in said
+    assert f"jiti validate-rewards {picks} --confirm" in said
+
+
+def test_labels_of_the_folder_above_are_found(tmp_path):
+    for number in (1, 2):
+        write_picks(tmp_path / "rec" / f"T{number}", [None])
+        mark(tmp_path / "rec", f"T{number}%2Fpick_0", GOOD, itc=f"mine/T{number}/neat")
+    one, two = tmp_path / "rec" / "T1", tmp_path / "rec" / "T2"
+    hint = f"""of which T2 is a part. Curate that folder and keep this part: `jiti curate {tmp_path / "rec"} --filter"""
+    hint += """ "task == 'mine/T2'"`."""
+    assert hint.replace("T2 is", "it is") in refused(LabelError, two, out=tmp_path / "d")
+    labels = (tmp_path / "rec" / "labels",)
+    said = refused(LabelError, two, one, out=tmp_path / "d", labels=labels)
+    assert hint in said
+    assert "move" not in said
+    mark(tmp_path / "rec", "T1%2Fpick_0", GOOD, annotator="ben", itc="mine/T2/neat")
+    assert "--filter \"'T2%2F' in episode\"" in refused(LabelError, two, out=tmp_path / "d")
+    assert curated(tmp_path / "rec", out=tmp_path / "d", condition="'T2%2F' in episode").episodes == 1
 
 
 def test_mixed_rates(picks, tmp_path):

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from jiti.annotate.names import MACHINES
 from jiti.annotate.segments import Segment
 from jiti.curate.export.agree import check_shapes, common_rate
 from jiti.curate.export.automatic import map_automatically
@@ -17,6 +16,7 @@ from jiti.curate.export.features import Feature, Shape, shapes
 from jiti.curate.export.filter import Filter
 from jiti.curate.export.frames import Frames, frames_of, moved, whole_rate
 from jiti.curate.export.held_out import Dealt, recorded_splits, splits_of
+from jiti.curate.export.labels_fit import check_labels, check_recording, nothing_counts
 from jiti.curate.export.outcome import recorded_success
 from jiti.curate.export.planned import Opened, PlannedEpisode, segments_table
 from jiti.curate.export.sources import Source
@@ -88,7 +88,7 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
     done = 0
     recorded = {} if choice.dealt.anew else recorded_splits(sources)
     for source in sources:
-        _check_labels(source)
+        check_labels(source)
         for ref in source.reader.episodes():
             done += 1
             rows = source.counted.segments.get(ref.episode_id, ())
@@ -102,23 +102,10 @@ def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = la
             notes += _doubts(f"{source.name}, {ref.title}", episode, choice)
             found.append(_plan_episode(source, ref, episode, rows, choice))
         if not any(opened.planned.source == source.name for opened in found):
-            raise _no_labels(source, choice)
+            raise nothing_counts(source, choice.rule)
     fps = choice.fps or common_rate(found)
     check_shapes(found)
     return _finished(found, fps, choice, unlabelled, recorded, notes)
-
-
-def _check_labels(source: Source) -> None:
-    """Raises LabelError for labels of a recording that is not there."""
-    listed = {ref.episode_id for ref in source.reader.episodes()}
-    lost = sorted(source.counted.recordings.keys() - listed)
-    if lost:
-        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
-        raise LabelError(
-            f"{source.labels_dir} has labels of {lost[0]!r}{more}, and {source.name} has no such episode. "
-            "Restore the recording, or move its labels away: "
-            f"{source.labels_dir}/segments/annotator=*/{lost[0]}.parquet."
-        )
 
 
 def _open(source: Source, ref: EpisodeRef, *, labelled: bool, notes: list[str]) -> Episode | None:
@@ -129,13 +116,8 @@ def _open(source: Source, ref: EpisodeRef, *, labelled: bool, notes: list[str]) 
             raise
         notes.append(f"{ref.title} was left out, because it cannot be opened: {error}")
         return None
-    about = source.counted.recordings.get(ref.episode_id)
-    if labelled and about is not None and about.fingerprint != episode.fingerprint:
-        raise LabelError(
-            f"{source.name}, {ref.title}: the labels were made on a recording of {about.frame_count} frames with "
-            f"fingerprint {about.fingerprint}; the one here has {episode.clock.frame_count} frames and fingerprint "
-            f"{episode.fingerprint}. Restore that recording, or open it in `jiti annotate` and confirm the labels."
-        )
+    if labelled:
+        check_recording(source, ref, episode)
     if not episode.clock.frame_count:
         raise SourceError(f"{source.name}, {ref.title}: it has no frames. Leave it out: move it or its labels away.")
     return episode
@@ -210,17 +192,6 @@ def _judge(rows: Sequence[tuple[str, Segment]], frames: Frames, gamma: float) ->
         "annotated": float(rewards.annotated.mean()),
         "verdicts": verdicts,
     }
-
-
-def _no_labels(source: Source, choice: Choice) -> LabelError:
-    proposals = [name for name in source.counted.annotators if name in MACHINES]
-    first = f"There are proposals of {', '.join(proposals)}: review them" if proposals else "Label it"
-    also = f", or count them as they are with --accept {proposals[0]}" if proposals else ""
-    return LabelError(
-        f"{source.name}: nothing in {source.labels_dir} counts by the rule {choice.rule!r}. {first} with "
-        f"`jiti annotate {source.given}`{also}. `jiti autolabel {source.given}` makes proposals; "
-        "--unlabelled keep takes episodes without labels."
-    )
 
 
 def _finished(
