@@ -13,8 +13,8 @@ from jiti.runtime.candidates.observation import as_batch, shapes_of  # noqa: E40
 from jiti.runtime.guidance import Guidance, Guide, noise  # noqa: E402
 from tests.runtime.candidates.conftest import FRONT, TOLD, WRIST, observation, tiny_critic  # noqa: E402
 
-# lerobot and transformers warn of their own dependencies, and import for half a minute.
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.filterwarnings("ignore")]
+# lerobot and transformers warn of their own dependencies, and take half a minute to import.
+pytestmark = [pytest.mark.timeout(900), pytest.mark.filterwarnings("ignore")]
 
 
 @pytest.fixture(scope="module")
