@@ -419,7 +419,7 @@ def curate(
     seed: Annotated[int | None, typer.Option("--seed", min=0, help="Of the splits. Default: 0.")] = None,
     unseen: Annotated[
         list[str] | None,
-        typer.Option("--unseen", help="A task that goes whole into the split `unseen`; may be repeated."),
+        typer.Option("--unseen", help="A task (T7) that goes whole into the split `unseen`; may be repeated."),
     ] = None,
     gamma: Annotated[float, typer.Option("--gamma", min=0.0, max=1.0, help="Discount of the return.")] = 0.98,
     codec: Annotated[

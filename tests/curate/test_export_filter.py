@@ -1,6 +1,7 @@
 import pytest
 
 from jiti.curate.export.filter import NAMES, Filter
+from jiti.curate.export.filter_names import Known, values_told
 from jiti.errors import UsageError
 
 EPISODE = {
@@ -64,6 +65,50 @@ def test_what_is_no_condition_is_refused_and_never_run(text, said):
     with pytest.raises(UsageError, match=r"(?s).*") as refused:
         Filter(text)
     assert said in str(refused.value)
+
+
+KNOWN = Known(
+    ("elegant/T2", "elegant/T7"),
+    ("elegant/T2", "elegant/T7", "so100/T2", "so100/T3", "mine/T3"),
+    ("elegant/T2/centered", "elegant/T7/upright"),
+    ("elegant/T2/centered", "elegant/T7/upright", "so100/T2/slow"),
+)
+
+
+@pytest.mark.parametrize(
+    "text", ["task == 'T2'", "'elegant/T2' == task", "task in ('T7', 'T2')", "reward == 1 and not task != 'T2'"]
+)
+def test_the_end_of_a_tasks_id_is_enough(text):
+    assert Filter(text).completed(KNOWN)(EPISODE) is True
+    assert Filter(text).completed(KNOWN)(EPISODE | {"task": "so100/T2"}) is False
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("reward == 1 and itc['centred'] == 1", "column 17: there is no ITC 'centred'; did you mean 'centered'? There"),
+        ("itc['elegant/T2/upright'] == 1", "did you mean 'elegant/T7/upright'"),
+        ("task == 'T9'", "column 9: there is no task 'T9'; there are: elegant/T2, elegant/T7."),
+        ("task in ['T2', 'T3']", "'T3' is the end of several tasks' ids: so100/T3, mine/T3"),
+    ],
+)
+def test_unknown_tasks_and_itcs_are_refused_before_any_episode(text, said):
+    with pytest.raises(UsageError) as refused:
+        Filter(text).completed(KNOWN)
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["'T9' in task", "instruction == 'T9'", "itc['slow'] == None", "task == None"])
+def test_other_texts_are_left_alone(text):
+    Filter(text).completed(KNOWN)
+
+
+def test_the_values_of_what_was_asked_for_are_told():
+    condition = Filter("success or return > 30 and frames < 10 and itc['centered'] == 0 and frames > 2")
+    assert condition.names == ["success", "return", "frames", "itc['centered']"]
+    episodes = [EPISODE | {"frames": n, "success": True if n > 150 else None} for n in (150, 240, 420)]
+    told = "success None (1), True (2); return 0.25 (3); frames 150 to 420; itc['centered'] 1 (3)"
+    assert values_told(condition.names, episodes) == told
 
 
 def test_what_cannot_be_compared_is_said():

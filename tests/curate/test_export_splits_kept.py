@@ -8,6 +8,7 @@ import pytest
 
 from jiti.curate.export.curated import Curated
 from jiti.errors import SourceError, UsageError
+from jiti.tasks.catalogue import load_catalogue
 from tests.builders.curate import curated, write_picks
 
 GOOD = [(2, 6, 1)]
@@ -58,6 +59,16 @@ def test_recordings_beside_a_dataset_are_dealt_and_an_unseen_task_stays_unseen(w
     assert "Splits" not in str(seen)
     with pytest.raises(UsageError, match="pick the bowl is unseen in d and in the split train of seen"):
         curated(whole, tmp_path / "seen", out=tmp_path / "f")
+
+
+def test_the_end_of_a_tasks_id_is_enough_for_unseen(tmp_path):
+    first, second = (load_catalogue().task(f"elegant/T{number}").instruction for number in (0, 1))
+    one, other = short(tmp_path / "one", 2, first), short(tmp_path / "other", 2, second)
+    assert curated(one, other, out=tmp_path / "d", unseen=("T1",)).splits == {"train": 2, "unseen": 2}
+    rows = pq.read_table(tmp_path / "d" / "meta" / "jiti" / "episodes.parquet").to_pylist()
+    assert {row["task_id"] for row in rows if row["split"] == "unseen"} == {"elegant/T1"}
+    with pytest.raises(UsageError, match="--unseen T9: no episode has that task; there are: elegant/T0, elegant/T1"):
+        curated(one, other, out=tmp_path / "e", unseen=("T9",))
 
 
 def test_a_split_that_no_one_knows_is_refused(tmp_path):

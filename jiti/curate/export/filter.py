@@ -8,8 +8,10 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from jiti.curate.export.filter_names import Known, complete
 from jiti.errors import UsageError
 from jiti.nearest import nearest
+from jiti.tasks.catalogue import ids_named
 
 Values = Mapping[str, Any]
 """Values of one episode by name; None for what is not known, and `itc` a mapping of verdicts by id."""
@@ -17,7 +19,7 @@ Values = Mapping[str, Any]
 NAMES = {
     "episode": "id of the episode in its source",
     "source": "name of the source",
-    "task": "id of the task, None without one",
+    "task": "id of the task, None without one; compared with 'T7', the only one whose id ends in /T7",
     "instruction": "instruction of the task",
     "frames": "frames",
     "seconds": "duration",
@@ -67,6 +69,24 @@ class Filter:
     def __call__(self, values: Values) -> bool:
         """Whether an episode is kept. An order with what is not known is false. Raises UsageError."""
         return bool(self._value(self._tree, values))
+
+    @property
+    def names(self) -> list[str]:
+        """What it asks for, in order: `frames`, `itc['centered']`."""
+        found = []
+        for node in ast.walk(self._tree):
+            match node:
+                case ast.Name(id=name) if name != "itc":
+                    found.append((node.col_offset, _plain(name)))
+                case ast.Subscript(slice=ast.Constant(value=str(name))):
+                    found.append((node.col_offset, f"itc[{name!r}]"))
+        return list(dict.fromkeys(name for _, name in sorted(found)))
+
+    def completed(self, known: Known) -> "Filter":
+        """The same with ids for short names of tasks. Raises UsageError for a task or an ITC that no one knows."""
+        other = Filter(self.text)
+        complete(other._tree, known, other._wrong)
+        return other
 
     def _check(self, node: ast.expr) -> None:
         match node:
@@ -126,9 +146,7 @@ class Filter:
         return True
 
     def _verdict(self, node: ast.expr, name: str, verdicts: Mapping[str, int]) -> int | None:
-        if name in verdicts:
-            return verdicts[name]
-        found = [itc_id for itc_id in verdicts if itc_id.rpartition("/")[2] == name]
+        found = ids_named(name, verdicts)
         if len(found) > 1:
             raise self._wrong(node, f"{name!r} is the end of several ITCs: {', '.join(found)}")
         return verdicts[found[0]] if found else None

@@ -1,6 +1,5 @@
 """Everything about a dataset that is known before anything is written: episodes, frames, labels, splits."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -14,6 +13,7 @@ from jiti.curate.export.codec import Codec
 from jiti.curate.export.digest import digest_of
 from jiti.curate.export.features import Feature, Shape, shapes
 from jiti.curate.export.filter import Filter
+from jiti.curate.export.filter_names import Known, values_told
 from jiti.curate.export.frames import Frames, frames_of, moved, whole_rate
 from jiti.curate.export.held_out import Dealt, recorded_splits, splits_of
 from jiti.curate.export.labels_fit import check_labels, check_recording, nothing_counts
@@ -81,6 +81,8 @@ class Plan:
 
 def make_plan(sources: Sequence[Source], choice: Choice, progress: Progress = lambda _s, _w: None) -> Plan:
     """Open every episode that has labels, once. Raises JitiError for what does not fit together, before any output."""
+    if choice.condition:
+        choice = replace(choice, condition=choice.condition.completed(Known.of(sources)))
     notes: list[str] = []
     found: list[Opened] = []
     unlabelled = 0
@@ -208,10 +210,9 @@ def _finished(
     episodes = [replace(episode, split=name) for episode, name in zip(episodes, names, strict=True)]
     kept = [episode for episode in episodes if choice.condition is None or choice.condition(episode.values(fps))]
     if not kept and choice.condition is not None:
-        rewards = Counter(str(episode.reward) for episode in episodes)
+        told = values_told(choice.condition.names, [episode.values(fps) for episode in episodes])
         raise UsageError(
-            f"--filter {choice.condition.text!r} leaves none of {len(episodes)} episodes; "
-            f"rewards are: {', '.join(f'{reward} ({count})' for reward, count in rewards.items())}."
+            f"--filter {choice.condition.text!r} leaves none of {len(episodes)} episodes. What there is: {told}."
         )
     placed = list(_placed(kept, fps))
     return Plan(
