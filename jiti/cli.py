@@ -486,8 +486,8 @@ def curate(
     with _progress("Curating") as progress:
         try:
             done = command.run(request, progress, weigh)
-        except KeyboardInterrupt:
-            print("Stopped. Finished episodes are kept; the same command goes on there.", file=sys.stderr)
+        except KeyboardInterrupt as stop:
+            _say(" ".join(map(str, ("Stopped.", *stop.args))))  # what is kept, where something was written
             raise
     print(done.to_json() if as_json else done)
 

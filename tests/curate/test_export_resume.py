@@ -49,7 +49,7 @@ def reading(*, stop_at: str = "") -> Iterator[list[str]]:
 
 def stopped(demos: Path, out: Path, **options) -> None:
     """Leave a run of which the first two of three episodes are finished."""
-    with reading(stop_at="pick_2") as seen, pytest.raises(KeyboardInterrupt):
+    with reading(stop_at="pick_2") as seen, pytest.raises(KeyboardInterrupt, match="2 of 3 episodes are finished and"):
         curated(demos, out=out, **options)
     assert seen == ["pick_0", "pick_1"]
     assert not out.exists()
@@ -87,6 +87,14 @@ def test_a_killed_run_goes_on_and_gives_the_same(demos, tmp_path):
     assert seen == ["pick_2"]
     assert_same(tmp_path / "d", tmp_path / "whole")
     assert not (tmp_path / ".d.partial").exists()
+
+
+def test_what_is_kept_and_taken_over_is_told(demos, tmp_path):
+    with reading(stop_at="pick_0"), pytest.raises(KeyboardInterrupt, match="No episode was finished"):
+        curated(demos, out=tmp_path / "d")
+    stopped(demos, tmp_path / "d")
+    assert curated(demos, out=tmp_path / "d").notes == ("2 of 3 episodes were there from a run that was stopped.",)
+    assert curated(demos, out=tmp_path / "d", overwrite=True).notes == ()
 
 
 @pytest.mark.parametrize(("file_bytes", "left"), [(10_000, ["pick_1"]), (20_000, [])])

@@ -71,14 +71,17 @@ def build(plan: Plan, sources: Sequence[Source], output: Output, progress: Progr
     by_name = {source.name: source for source in sources}
     notes: list[str] = []
     with _explained(unfinished, output.root), closing(Journal.open(unfinished, plan.digest)) as journal:
+        if journal.finished:
+            notes.append(f"{journal.finished} of {len(plan.episodes)} episodes were there from a run that was stopped.")
         writer = _Writer(plan, journal, output)
-        for number, planned in enumerate(plan.episodes):
-            progress(number / len(plan.episodes), f"{planned.source}, {planned.title}")
-            done = journal.done(number) or journal.add(writer.piece(planned, by_name[planned.source]))
-            writer.place(planned, done)
-            notes += done.notes
-        progress(1.0, "writing tables")
-        writer.finish()
+        with _told(journal, plan):
+            for number, planned in enumerate(plan.episodes):
+                progress(number / len(plan.episodes), f"{planned.source}, {planned.title}")
+                done = journal.done(number) or journal.add(writer.piece(planned, by_name[planned.source]))
+                writer.place(planned, done)
+                notes += done.notes
+            progress(1.0, "writing tables")
+            writer.finish()
         _put(unfinished, journal.dataset, output)
     return notes
 
@@ -201,6 +204,18 @@ def _explained(unfinished: Path, root: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise _refused(unfinished, root, error) from error
+
+
+@contextmanager
+def _told(journal: Journal, plan: Plan) -> Iterator[None]:
+    """An interrupt says what is kept."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        if not journal.finished:
+            raise KeyboardInterrupt("No episode was finished.") from error
+        kept = f"{journal.finished} of {len(plan.episodes)} episodes are finished and kept"
+        raise KeyboardInterrupt(f"{kept}; the same command goes on there.") from error
 
 
 def _refused(unfinished: Path, root: Path, error: BaseException) -> SaveFailed:

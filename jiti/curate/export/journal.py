@@ -93,6 +93,11 @@ class Journal:
     def dataset(self) -> Path:
         return self._folder / "dataset"
 
+    @property
+    def finished(self) -> int:
+        """Episodes."""
+        return len(self._offsets)
+
     def piece(self, index: int, name: str) -> Path:
         """Where a file of an episode is until it is joined with others."""
         return self._folder / "pieces" / f"{index:06d}.{name}"
