@@ -65,7 +65,7 @@ class Done:
         for column in self.plan.columns:
             average = columns[column.name]["average"]
             esr, success = ((_shown(average, name)) for name in ("elegant", "success"))
-            paper = columns[column.name]["paper"].get("average")
+            paper = columns[column.name]["paper_average"]
             beside = f"   paper {paper:g}" if paper is not None else ""
             lines.append(f"  {column.shown:<{width}}  {esr:>18}   success {success}{beside}")
         if missing := self.content["missing"]:

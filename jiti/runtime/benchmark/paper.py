@@ -4,7 +4,7 @@
 paper.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 AVERAGE = "average"
 """Key of a row's average ESR over its tasks."""
@@ -14,6 +14,21 @@ STEP_MS = "step_ms"
 """Inference time of a step, milliseconds (G.6, on the authors' GPU)."""
 RATE = "intervention_rate"
 """Percent of decisions (G.6)."""
+
+
+EIGHT = tuple(f"elegant/T{number}" for number in range(8))
+"""LIBERO-Elegant, Table 4."""
+
+
+def paper_average(row: str, tasks: Sequence[str]) -> float | None:
+    """The average ESR of a row over some tasks: as it is printed where these are all of its tasks; else
+    the mean of their figures. None where there is no figure for one of them, or no such row."""
+    figures = FIGURES.get(row, {})
+    own = {key for key in figures if "/" in key} or set(EIGHT if row in ("full", "sparse") else ())
+    if own <= set(tasks):
+        return figures.get(AVERAGE)
+    found = [figures[task] for task in tasks if task in figures]
+    return sum(found) / len(found) if found and len(found) == len(tasks) else None
 
 
 def _table8(*esr: float, average: float) -> dict[str, float]:

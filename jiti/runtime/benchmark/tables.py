@@ -6,7 +6,7 @@ from typing import Any
 
 from jiti.runtime.benchmark.cells import Results, effort, paired, rate
 from jiti.runtime.benchmark.charts import Bar, Point, bar_chart, sweep_chart
-from jiti.runtime.benchmark.paper import AVERAGE, FIGURES, INTERVENTIONS, RATE, STEP_MS
+from jiti.runtime.benchmark.paper import AVERAGE, FIGURES, INTERVENTIONS, RATE, STEP_MS, paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 from jiti.runtime.rollout.summary import Rate
 
@@ -88,6 +88,7 @@ def numbers(plan: BenchmarkPlan, results: Results) -> dict[str, Any]:
             "average": _numbers(everything),
             "groups": {group: _numbers(results.of(column, tasks)) for group, tasks in plan.groups.items()},
             "paper": dict(FIGURES.get(column.paper, {})),
+            "paper_average": paper_average(column.paper, plan.tasks),
         }
     comparisons = []
     for one in plan.comparisons:
@@ -153,7 +154,7 @@ def _rates(plan: BenchmarkPlan, results: Results, outcome: str, *, paper: bool =
         rows.append((column.shown, *cells, shown_rate(_rate(results, column, plan.tasks, outcome))))
         if paper and column.paper:
             figures = [_paper_text(column, task) for task in plan.tasks]
-            rows.append((f"{column.shown}, paper", *figures, _paper_text(column, AVERAGE)))
+            rows.append((f"{column.shown}, paper", *figures, _percent(paper_average(column.paper, plan.tasks))))
     return TextTable(("", *(_short(task) for task in plan.tasks), "average"), tuple(rows))
 
 
@@ -163,13 +164,14 @@ def _averages(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTable
     for column in plan.columns:
         own = results.of(column, plan.tasks)
         cost = effort(own) if own else None
-        bars.append(Bar("", column.shown, rate(own) if own else None, _paper(column, AVERAGE)))
+        paper = paper_average(column.paper, plan.tasks)
+        bars.append(Bar("", column.shown, rate(own) if own else None, None if paper is None else paper / 100))
         guided = column.method != "none"
         rows.append(
             (
                 column.shown,
                 shown_rate(rate(own) if own else None),
-                _paper_text(column, AVERAGE),
+                _percent(paper),
                 shown_rate(rate(own, "success") if own else None),
                 (f"{cost.interventions:.2f}" if guided else NOTHING) if cost else MISSING,
                 _paper_text(column, INTERVENTIONS),
@@ -283,7 +285,10 @@ def _paper(column: Column, key: str) -> float | None:
 
 
 def _paper_text(column: Column, key: str, unit: str = "") -> str:
-    value = FIGURES.get(column.paper, {}).get(key)
+    return _percent(FIGURES.get(column.paper, {}).get(key), unit)
+
+
+def _percent(value: float | None, unit: str = "") -> str:
     return NOTHING if value is None else f"{value:g}{unit}"
 
 
