@@ -61,16 +61,25 @@ def rank_all(asked: argparse.Namespace, console: Console) -> list[dict[str, Any]
 
 
 def table_of(rows: list[dict[str, Any]]) -> Table:
-    tasks = sorted({task for row in rows for task in row["auc"]})
+    """A column for each run."""
     title = f"AUC on {sum(sum(pair) for pair in rows[0]['counts'].values())} held-out demonstrations"
     table = Table(title=title, title_justify="left")
-    for name in ("labels", "seed", *(task.rpartition("/")[2] for task in tasks), "average", "10 earlier", "others'"):
-        table.add_column(name, justify="right")
+    table.add_column("")
     for row in rows:
-        figures = [*(row["auc"].get(task) for task in tasks), row["average"], row["earlier"]["10"]]
-        figures.append(row["chunks_of_others"])
-        shown = ["-" if figure is None else f"{figure:.2f}" for figure in figures]
-        table.add_row(row["labels"], str(row["seed"]), *shown)
+        table.add_column(
+            f"seed {row['seed']}" + (", dealt anew" if row["labels"] != "as they are" else ""), justify="right"
+        )
+
+    def add(name: str, figures: list[float | None]) -> None:
+        table.add_row(name, *("-" if figure is None else f"{figure:.2f}" for figure in figures))
+
+    for task in sorted({task for row in rows for task in row["auc"]}):
+        good, bad = rows[0]["counts"][task]
+        add(f"{task} ({good} + {bad})", [row["auc"].get(task) for row in rows])
+    add("average", [row["average"] for row in rows])
+    for lead in list(rows[0]["earlier"])[1:]:
+        add(f"{lead} frames earlier", [row["earlier"][lead] for row in rows])
+    add("chunks of another episode", [row["chunks_of_others"] for row in rows])
     return table
 
 
