@@ -136,8 +136,7 @@ class Chain:
         return found
 
     def _left(self, stage: Stage, columns: Sequence[Column]) -> int:
-        game = self.table.game(stage, columns, float("inf"))
-        return game.rollouts - game.played()
+        return self.table.game(stage, columns, float("inf")).left()
 
     def _games(self, stages: Sequence[Stage]) -> list[Game]:
         groups = self._groups()

@@ -11,6 +11,9 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from jiti.durable import make_folder, write_atomic
 from jiti.errors import SourceError
 from jiti.progress import Progress
@@ -19,6 +22,7 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.guidance import Guidance
 from jiti.runtime.rollout.plan import RolloutPlan, label_of
+from jiti.runtime.rollout.result import ROLLOUTS
 from jiti.runtime.rollout.run import run_rollouts
 from jiti.runtime.rollout.tau import Calibration, calibrate, save_calibration, tau_path
 from jiti.runtime.workers import in_processes
@@ -49,6 +53,18 @@ class Game:
             for label in self.plan.labels
             for number in range(self.episodes)
         )
+
+    def left(self) -> int:
+        """Rollouts to play; 1 where all are there and only the table of them is not: a run was killed in between."""
+        missing = self.rollouts - self.played()
+        return missing or int(not self._tabled())
+
+    def _tabled(self) -> bool:
+        try:
+            rows = pq.read_metadata(self.folder / ROLLOUTS).num_rows
+        except (OSError, pa.ArrowException):
+            return False
+        return rows >= len(list(self.folder.glob("*/[!.]*.json")))
 
 
 def guidance_of(column: Column, plan: BenchmarkPlan, tau: float | None) -> Guidance:
@@ -144,7 +160,7 @@ def kept_tau(folder: Path) -> float:
 
 def play_all(games: Sequence[Game], workers: int, progress: Progress) -> None:
     """Play what is missing. Raises JitiError; episodes that are whole are kept."""
-    missing = [game for game in games if game.played() < game.rollouts]
+    missing = [game for game in games if game.left()]
     if not missing:
         return
     for game in missing:

@@ -134,6 +134,17 @@ def test_a_finished_cell_does_not_need_the_policy_that_played_it(pretended, tmp_
     assert pretended.take() == []
 
 
+def test_rollouts_whose_table_was_not_written_are_gone_through_again(pretended, tmp_path):
+    chain_of(PLAN, tmp_path).run()
+    pretended.take()
+    (one, *_) = sorted((tmp_path / "rollouts").glob("elegant-T0-filtered-*/rollouts.parquet"))
+    one.unlink()
+    assert chain_of(PLAN, tmp_path).results().missing() == [("filtered", "elegant/T0", 0)]
+    chain_of(PLAN, tmp_path).run()
+    assert pretended.take() == ["play elegant/T0 none"]
+    assert chain_of(PLAN, tmp_path).results().missing() == []
+
+
 def test_progress_only_grows_and_tells_the_time_that_is_left(pretended, tmp_path):
     told = []
     chain = chain_of(PLAN, tmp_path)
