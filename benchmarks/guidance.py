@@ -61,6 +61,8 @@ def _smolvla(bench: Bench, asked: argparse.Namespace) -> Iterator[Line]:
         now = {"observation.state": rng.normal(size=STATE).astype(np.float32)}
         now |= {f"observation.images.{c}": rng.integers(0, 256, (256, 256, 3), np.uint8) for c in CAMERAS}
         kinds = _decisions(sampler.only(max(sampler.executed, scorer.chunk)), scorer, now)
+        whole_chunks = _decisions(sampler, scorer, now)
+        kinds |= {f"{kind}, whole": whole_chunks[kind] for kind in ("none", "full")}
 
         def whole(n: int) -> None:
             """lerobot's own way: n copies of the observation through the whole policy."""
@@ -164,6 +166,10 @@ def _lines(
         note="the paper's is 1.96x none; weighed from quiet decisions and those of full guidance",
     )
     yield timed(name, "jiti, quiet: one sample, one value", found["quiet"], peer=none_s)
+    if "none, whole" in found:
+        whole_s = float(np.median(found["none, whole"]))
+        yield timed(name, "none, all 50 actions of a chunk made", found["none, whole"], peer=none_s)
+        yield timed(name, "full, all 50 actions, against that", found["full, whole"], peer=whole_s)
     if "lerobot, one" in found:
         yield timed(name, "peer: one chunk, all 50 actions, by lerobot", found["lerobot, one"], peer=none_s)
     yield timed(name, f"peer: batch of {CANDIDATES} through the whole policy", found["naive"], peer=none_s)
