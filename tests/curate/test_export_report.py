@@ -1,10 +1,13 @@
 import re
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from jiti.curate.report import report_on
+from jiti.curate.report.axes import round_ticks
 from jiti.curate.report.facts import gather
+from jiti.curate.report.svg import histogram
 from jiti.errors import UsageError
 from tests.builders.curate import ITC, curated, mark, propose, put, write_picks
 from tests.builders.labels import segment
@@ -74,6 +77,47 @@ def test_what_was_annotated_since_and_does_not_count_is_left_out(dataset):
     mark(dataset, "episode_000001", [(31, 33, 0)], annotator="dora")
     assert gather(dataset).lengths == {1: before.lengths[1], 0: [*before.lengths[0], 3]}
     assert report_on(dataset).is_file()
+
+
+def test_tasks_have_their_instruction_and_suspects_say_what_was_looked_for(dataset):
+    html = report_on(dataset).read_text()
+    assert "<td>pick &lt;b&gt;&amp;amp; place</td>" in html
+    assert "Looked for: " in html
+
+
+def test_robot_and_scene_are_mapped_with_axes_and_shades(tmp_path):
+    demos = write_picks(tmp_path / "demos", MARKS)
+    streams = {"observation.state": "/joint_states", "observation.environment_state": "/action", "action": "/action"}
+    mapping = "".join(f'[features."{key}"]\nstreams = ["{stream}"]\n' for key, stream in streams.items())
+    (tmp_path / "features.toml").write_text(mapping)
+    curated(demos, out=tmp_path / "d", features=tmp_path / "features.toml")
+    facts = gather(tmp_path / "d")
+    assert [*facts.states] == ["observation.state", "observation.environment_state"]
+    assert all(len(values) == len(facts.state_episode) for values in facts.states.values())
+    html = report_on(tmp_path / "d").read_text()
+    for told in ("<code>observation.environment_state</code>", "second component", "frames in a cell:"):
+        assert told in html, told
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "whole", "ticks"),
+    [
+        (8.1, 15.05, False, [10, 12, 14]),
+        (23.5, 26.5, True, [24, 25, 26]),
+        (0, 1, False, [0, 0.2, 0.4, 0.6, 0.8, 1]),
+        (-0.13, 0.21, False, [-0.1, 0, 0.1, 0.2]),
+        (0, 320, True, [0, 100, 200, 300]),
+        (7, 7, False, [7]),
+    ],
+)
+def test_ticks_are_round_numbers(low, high, whole, ticks):
+    assert round_ticks(low, high, 4 if high == 320 else 5, whole=whole) == ticks
+
+
+def test_equal_lengths_have_one_bar_in_the_middle():
+    drawn = histogram([("satisfied", np.full(3, 25))], unit="frames")
+    assert re.findall(r'text-anchor="middle">([^<]+)<', drawn) == ["24", "25", "26", "frames"]
+    assert drawn.count("<rect") == 1
 
 
 def test_suspects_are_listed(tmp_path):

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -17,6 +17,7 @@ from jiti.annotate.agreement import ALL_ITCS, Agreement, compare
 from jiti.annotate.labels import Labels, read_labels
 from jiti.annotate.segment_file import Recording
 from jiti.curate.checks import find_suspects
+from jiti.curate.export.features import ENVIRONMENT_STATE, STATE
 from jiti.curate.suspects import Suspect
 from jiti.episodes.lerobot_index import episode_id_of
 from jiti.episodes.lerobot_reader import LeRobotReader
@@ -36,6 +37,7 @@ class EpisodeFacts:
 
     index: int
     task: str
+    instruction: str
     split: str
     success: bool | None
     frames: int
@@ -61,9 +63,8 @@ class Facts:
     lengths: dict[int, list[int]]
     """Frames of the segments, by verdict."""
     agreements: tuple[Agreement, ...]
-    state_name: str
-    state: np.ndarray
-    """(rows, size) of the feature that is mapped; no rows where there is none."""
+    states: dict[str, np.ndarray]
+    """(rows, size) of each feature that is mapped, by name; the same frames of all."""
     state_episode: np.ndarray
     """(rows,) the episode of each."""
     suspects: tuple[Suspect, ...]
@@ -82,13 +83,14 @@ def gather(dataset: Path) -> Facts:
         told = pq.read_table(own.with_name("episodes.parquet")).to_pylist()
     except (OSError, ValueError) as error:
         raise SourceError(f"{own.parent} cannot be read ({error}). Curate the dataset again.") from error
-    info = LeRobotReader(dataset).info
+    reader = LeRobotReader(dataset)
+    info = reader.info
+    instructions = {ref.episode_id: ref.task or "" for ref in reader.episodes()}
     names = [feature.key for feature in info.features if feature.dtype == "float32"]
-    state_name = next((key for key in ("observation.state", "observation.environment_state") if key in names), "")
-    rows = _Rows(state_name, sum(row["frames"] for row in told))
+    rows = _Rows([key for key in (STATE, ENVIRONMENT_STATE) if key in names], sum(row["frames"] for row in told))
     for path in sorted((dataset / "data").rglob("*.parquet")):
         rows.add(path)
-    episodes = tuple(rows.episode(row) for row in told)
+    episodes = tuple(rows.episode(row, instructions) for row in told)
     labels = read_labels(dataset / "meta" / "jiti")
     counted = _counted(labels.segments)
     return Facts(
@@ -99,8 +101,7 @@ def gather(dataset: Path) -> Facts:
         verdicts=_verdicts(counted),
         lengths=_lengths(counted),
         agreements=tuple(_agreements(counted, labels)),
-        state_name=state_name,
-        state=rows.state,
+        states=rows.states,
         state_episode=rows.state_episode,
         suspects=tuple(_suspects(dataset, labels, about, rows)),
     )
@@ -109,18 +110,17 @@ def gather(dataset: Path) -> Facts:
 class _Rows:
     """What is kept of the rows, a row group at a time: a group is an episode."""
 
-    def __init__(self, state_name: str, total: int) -> None:
-        self._state_name = state_name
+    def __init__(self, state_names: Sequence[str], total: int) -> None:
         self._every = max(1, -(-total // STATE_ROWS))
         self._judged: dict[int, tuple[float, float, int, bool]] = {}
-        self._state: list[np.ndarray] = []
+        self._states: dict[str, list[np.ndarray]] = {name: [] for name in state_names}
         self._state_episode: list[np.ndarray] = []
         self.trajectories: dict[str, np.ndarray] = {}
 
     def add(self, path: Path) -> None:
         with pq.ParquetFile(path) as file:
             for group in range(file.num_row_groups):
-                table = file.read_row_group(group, [*_COLUMNS, *filter(None, [self._state_name])])
+                table = file.read_row_group(group, [*_COLUMNS, *self._states])
                 episode, reward, annotated, returns = (
                     to_floats(table[name].combine_chunks(), 1)[:, 0] for name in _COLUMNS
                 )
@@ -129,30 +129,31 @@ class _Rows:
                     violated = bool((annotated[here] > reward[here]).any())
                     values = returns[here]
                     self._judged[index] = float(values[0]), float(values.max()), int(annotated[here].sum()), violated
-                    if self._state_name:
-                        size = table[self._state_name].type
-                        width = getattr(size, "list_size", 1)
-                        state = to_floats(table[self._state_name].combine_chunks(), width)[here]
-                        self._state.append(state[:: self._every])
-                        self._state_episode.append(np.full(len(self._state[-1]), index))
-                        kept = np.linspace(0, len(state) - 1, min(POINTS, len(state))).astype(int)
-                        self.trajectories[episode_id_of(index)] = state[kept].astype(np.float32)
+                    self._state_episode.append(np.full(-(-int(here.sum()) // self._every), index))
+                    for name, kept in self._states.items():
+                        width = getattr(table[name].type, "list_size", 1)
+                        state = to_floats(table[name].combine_chunks(), width)[here]
+                        kept.append(state[:: self._every])
+                        if name == next(iter(self._states)):
+                            points = np.linspace(0, len(state) - 1, min(POINTS, len(state))).astype(int)
+                            self.trajectories[episode_id_of(index)] = state[points].astype(np.float32)
 
     @property
-    def state(self) -> np.ndarray:
-        return np.concatenate(self._state) if self._state else np.empty((0, 0))
+    def states(self) -> dict[str, np.ndarray]:
+        return {name: np.concatenate(kept) for name, kept in self._states.items() if kept}
 
     @property
     def state_episode(self) -> np.ndarray:
         return np.concatenate(self._state_episode) if self._state_episode else np.empty(0, np.int64)
 
-    def episode(self, row: dict[str, Any]) -> EpisodeFacts:
+    def episode(self, row: dict[str, Any], instructions: Mapping[str, str]) -> EpisodeFacts:
         if row["episode_index"] not in self._judged:
             raise SourceError(f"the data has no rows of episode {row['episode_index']}. Curate the dataset again.")
         first, peak, annotated, violated = self._judged[row["episode_index"]]
         return EpisodeFacts(
             index=row["episode_index"],
             task=row["task_id"] or "no task of a catalogue",
+            instruction=instructions.get(episode_id_of(row["episode_index"]), ""),
             split=row["split"],
             success=row["success"],
             frames=row["frames"],

@@ -10,10 +10,18 @@ import numpy as np
 from jiti.annotate.agreement import ALL_ITCS
 from jiti.curate.export.split import SPLITS, UNSEEN
 from jiti.curate.report.facts import EpisodeFacts, Facts
-from jiti.curate.report.svg import Series, bars, density, empty, histogram
+from jiti.curate.report.states import state_maps
+from jiti.curate.report.svg import Series, bars, histogram
 
 SUSPECTS = 60
 """That are listed. Our choice; `jiti validate-rewards --check --json` lists all."""
+LOOKED_FOR = (
+    "Looked for: labels of another recording, outside their episode or shorter than an action chunk; segments without "
+    "a verdict; verdicts of one annotator that contradict each other or change within a few frames, and of several "
+    "annotators that differ; constraints that are never satisfied or never violated; unusual returns; episodes that "
+    "went nearly the same way and were judged the opposite way."
+)
+"""The kinds of `jiti.curate.suspects`."""
 
 STYLE = """
 :root { --ink: #1c2330; --dim: #5d6778; --line: #dde2ea; --back: #f6f7f9; --card: #fff;
@@ -43,6 +51,14 @@ svg text.head { fill: var(--ink); font-weight: 600 }
 .inelegant, .violated { fill: var(--bad); background: var(--bad) }
 .episodes, .frames { fill: var(--plain); background: var(--plain) }
 .unlabelled { fill: var(--open); background: var(--open) }
+.bars { display: grid; grid-template-columns: auto 1fr auto; gap: 8px 12px; font-size: 13px; color: var(--dim) }
+.bars div { display: grid; grid-template-columns: subgrid; grid-column: 1 / -1; align-items: center }
+.bars span:first-child { overflow-wrap: anywhere; text-align: right }
+.bars b { display: flex; height: 18px }
+figcaption { margin-top: 8px }
+@media (max-width: 640px) { body { padding: 16px } .chart text { font-size: 14px }
+  .bars { gap: 8px 12px; grid-template-columns: 1fr auto }
+  .bars b { grid-row: 2; grid-column: 1 / -1 } .bars span:first-child { text-align: left } }
 .key { margin-right: 16px; font-size: 13px; color: var(--dim) }
 .key i { display: inline-block; width: 11px; height: 11px; border-radius: 2px; margin-right: 6px }
 .wide { overflow-x: auto; background: var(--card); border: 1px solid var(--line); border-radius: 8px }
@@ -66,7 +82,7 @@ def page(facts: Facts) -> str:
             ("Constraints", _constraints(facts)),
             ("Lengths", _lengths(facts)),
             ("Returns", _returns(facts)),
-            ("State space", _states(facts)),
+            ("State space", state_maps(facts)),
             ("Agreement", _agreement(facts)),
             ("Suspects", _suspects(facts)),
             ("How it was made", _made(facts)),
@@ -106,13 +122,14 @@ def _numbers(facts: Facts) -> str:
 def _tasks(facts: Facts) -> Iterator[str]:
     names = [name for name in (*SPLITS, UNSEEN) if any(episode.split == name for episode in facts.episodes)]
     rows = []
-    for task in sorted({episode.task for episode in facts.episodes}):
-        here = [episode for episode in facts.episodes if episode.task == task]
+    for task, instruction in sorted({(episode.task, episode.instruction) for episode in facts.episodes}):
+        here = [e for e in facts.episodes if (e.task, e.instruction) == (task, instruction)]
         splits = Counter(episode.split for episode in here)
         elegant = sum(bool(episode.elegant) for episode in here)
         seconds = np.mean([episode.frames for episode in here]) / facts.fps
-        rows.append((task, len(here), elegant, f"{seconds:.1f}", *(splits[name] for name in names)))
-    yield table(("task", "episodes", "elegant", "mean s", *names), rows, numbers=range(1, 4 + len(names)))
+        rows.append((task, instruction, len(here), elegant, f"{seconds:.1f}", *(splits[name] for name in names)))
+    heading = ("task", "instruction", "episodes", "elegant", "mean s", *names)
+    yield table(heading, rows, numbers=range(2, len(heading)))
 
 
 def _constraints(facts: Facts) -> Iterator[str]:
@@ -139,29 +156,6 @@ def _returns(facts: Facts) -> Iterator[str]:
     )
 
 
-def _states(facts: Facts) -> Iterator[str]:
-    values = facts.state
-    spread = values.std(axis=0) if len(values) else np.empty(0)
-    if len(values) < 2 or (spread > 0).sum() < 2:
-        yield empty()
-        return
-    scaled = (values - values.mean(axis=0))[:, spread > 0] / spread[spread > 0]
-    _, strengths, axes = np.linalg.svd(scaled, full_matrices=False)
-    points = scaled @ axes[:2].T
-    shares = strengths[:2] ** 2 / (strengths**2).sum()
-    yield (
-        f"<p><code>{escape(facts.state_name)}</code>, standardized, in the plane of its two first principal components "
-        f"({shares[0]:.0%} and {shares[1]:.0%} of the variance), {len(values):,} frames. A critic has seen nothing "
-        "where both maps are empty, and can compare nothing where one of them is.</p>"
-    )
-    spans = [(float(column.min()), float(column.max())) for column in points.T]
-    elegant = {episode.index: episode.elegant for episode in facts.episodes}
-    verdict = np.array([{True: 1, False: 0, None: -1}[elegant[int(k)]] for k in facts.state_episode])
-    maps = [("elegant", points[verdict == 1]), ("inelegant", points[verdict == 0]), ("unlabelled", points[verdict < 0])]
-    drawn = [density(p, spans, kind, f"{kind} episodes, {len(p):,} frames") for kind, p in maps if len(p)]
-    yield f'<div class="pair">{"".join(drawn)}</div>'
-
-
 def _agreement(facts: Facts) -> Iterator[str]:
     rows = []
     for agreement in facts.agreements:
@@ -179,8 +173,9 @@ def _agreement(facts: Facts) -> Iterator[str]:
 
 
 def _suspects(facts: Facts) -> Iterator[str]:
+    yield f"<p>{LOOKED_FOR}</p>"
     if not facts.suspects:
-        yield "<p>Nothing looks wrong.</p>"
+        yield "<p>Nothing of it was found.</p>"
         return
     errors = sum(one.severity == "error" for one in facts.suspects)
     yield f"<p>{errors} errors, {len(facts.suspects) - errors} warnings, the worst first.</p>"
@@ -202,7 +197,7 @@ def _made(facts: Facts) -> Iterator[str]:
         ("left out", ", ".join(f"{count} {why}" for why, count in about["left_out"].items() if count) or "nothing"),
         ("filter", about["options"]["filter"] or "none"),
         ("splits", _dealt(about["options"])),
-        ("digest of all inputs", about["digest"]),
+        ("digest of all inputs", about["digest"][:16]),
         ("versions", ", ".join(f"{name} {version}" for name, version in about["versions"].items())),
     ]
     yield table(("", ""), rows)

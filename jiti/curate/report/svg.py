@@ -1,16 +1,19 @@
-"""Small charts as SVG in the page: bars, histograms, a map of points. Colours are classes, so that the page's style
-gives them."""
+"""Small charts in the page: bars, histograms, maps of points. Colours are classes, so that the page's style gives
+them."""
 
 from collections.abc import Sequence
 from html import escape
 
 import numpy as np
 
-WIDTH, HEIGHT = 460, 210
-"""Of a chart, in the page's pixels."""
-LEFT, BOTTOM, TOP = 44, 34, 18
+from jiti.curate.report.axes import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, round_ticks, x_axis, x_of, y_axis, y_of
+
 BINS = 24
 """Of a histogram. Our choice."""
+CELLS = 44
+"""Of a map, across. Our choice."""
+FAINTEST = 0.15
+"""Opacity of a cell of a map that has one point. Our choice: it is still seen."""
 
 Series = Sequence[tuple[str, np.ndarray]]
 """Class of the colour, which is also its name in the legend, and values."""
@@ -23,71 +26,76 @@ def histogram(series: Series, *, unit: str, bins: int = BINS) -> str:
         return empty()
     low, high = float(every.min()), float(every.max())
     whole = bool((every == np.round(every)).all())
-    if high == low:
-        low, high = low - 0.5, high + 0.5
     if whole and high - low < bins:
-        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
+        margin = 1.5 if high == low else 0.5
+        low, high = low - margin, high + margin
         bins = int(high - low)
+    elif high == low:
+        low, high = low - 0.5, high + 0.5
     edges = np.linspace(low, high, bins + 1)
     counts = [(name, np.histogram(values, edges)[0]) for name, values in series]
     most = max(1, int(np.sum([count for _, count in counts], axis=0).max()))
-    parts = _axes(low, high, most, unit)
-    step = (WIDTH - LEFT - 8) / bins
+    parts = y_axis(round_ticks(0, most, 4, whole=True), 0, most)
+    parts += x_axis(round_ticks(low, high, whole=whole), low, high, unit)
     for k in range(bins):
         base = 0
+        left, right = (x_of(float(edge), low, high) for edge in edges[k : k + 2])
         for name, count in counts:
             if count[k]:
-                top = _y(base + count[k], most)
-                height = _y(base, most) - top
+                top, bottom = y_of(base + int(count[k]), 0, most), y_of(base, 0, most)
                 told = f"{edges[k]:.4g} to {edges[k + 1]:.4g} {unit}: {count[k]} {name}"
-                x = LEFT + k * step + 0.5
-                parts.append(_rect(x, top, max(1.0, step - 1), height, name, told))
+                parts.append(_rect(left + 0.5, top, max(1.0, right - left - 1), bottom - top, name, told))
                 base += int(count[k])
-    return _svg(parts, WIDTH, HEIGHT, legend=[name for name, _ in series])
+    return _figure(parts, "".join(_key(name) for name, _ in series))
 
 
-def bars(rows: Sequence[tuple[str, Sequence[tuple[str, int]]]], *, width: int = 940) -> str:
-    """One horizontal bar a row, divided by class in the shares of its counts."""
+def bars(rows: Sequence[tuple[str, Sequence[tuple[str, int]]]]) -> str:
+    """One horizontal bar a row, divided by class in the shares of its counts; no picture, so that it is read on a
+    narrow screen too."""
     if not rows:
         return empty()
-    names_width, row_height = 340, 26
-    room = width - names_width - 120
     parts: list[str] = []
-    for k, (name, counts) in enumerate(rows):
-        y = TOP + k * row_height
-        parts.append(f'<text x="{names_width - 10}" y="{y + 14}" text-anchor="end">{escape(name)}</text>')
-        total, x = max(1, sum(count for _, count in counts)), float(names_width)
-        for kind, count in counts:
-            if count:
-                share = room * count / total
-                parts.append(_rect(x, y, share, row_height - 8, kind, f"{name}: {count} {kind}"))
-                x += share
+    for name, counts in rows:
+        total = max(1, sum(count for _, count in counts))
         told = " / ".join(str(count) for _, count in counts)
-        first = counts[0][1] / total
-        parts.append(f'<text x="{names_width + room + 8}" y="{y + 14}">{first:.0%} ({told})</text>')
-    kinds = list(dict.fromkeys(kind for _, counts in rows for kind, _ in counts))
-    return _svg(parts, width, TOP + len(rows) * row_height + 6, legend=kinds)
+        shares = "".join(
+            f'<i class="{kind}" style="flex-grow:{count}" title="{escape(f"{name}: {count} {kind}")}"></i>'
+            for kind, count in counts
+            if count
+        )
+        share = f"{counts[0][1] / total:.0%} ({told})"
+        parts.append(f"<div><span>{escape(name)}</span><b>{shares}</b><span>{share}</span></div>")
+    kinds = dict.fromkeys(kind for _, counts in rows for kind, _ in counts)
+    keys = "".join(map(_key, kinds))
+    return f'<figure><div class="bars">{"".join(parts)}</div><figcaption>{keys}</figcaption></figure>'
 
 
-def density(points: np.ndarray, spans: Sequence[tuple[float, float]], kind: str, title: str, cells: int = 44) -> str:
-    """Points (n, 2) as a grid of cells, the darker the more there are; `spans` are the two axes' ranges."""
-    rows = max(8, round(cells * (HEIGHT - TOP - BOTTOM) / (WIDTH - LEFT - 8)))
-    (x0, x1), (y0, y1) = spans
-    counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], (cells, rows), range=[(x0, x1), (y0, y1)])
-    step_x, step_y = (WIDTH - LEFT - 8) / cells, (HEIGHT - TOP - BOTTOM) / rows
-    most = max(1.0, float(np.log1p(counts).max()))
-    parts = [f'<text x="{LEFT}" y="12" class="head">{escape(title)}</text>']
-    parts.append(
-        f'<rect x="{LEFT}" y="{TOP}" width="{WIDTH - LEFT - 8}" height="{HEIGHT - TOP - BOTTOM}" class="frame"/>'
-    )
-    for column, row in np.argwhere(counts > 0).tolist():
-        strength = 0.15 + 0.85 * float(np.log1p(counts[column, row])) / most
-        x, y = LEFT + column * step_x, HEIGHT - BOTTOM - (row + 1) * step_y
-        told = f"{int(counts[column, row])} frames"
-        parts.append(_rect(x, y, step_x, step_y, kind, told, opacity=strength))
-    middle = (LEFT + WIDTH - 8) / 2
-    parts.append(f'<text x="{middle}" y="{HEIGHT - 14}" text-anchor="middle">first principal component</text>')
-    return _svg(parts, WIDTH, HEIGHT)
+def maps(groups: Sequence[tuple[str, str, np.ndarray]]) -> list[str]:
+    """Points (n, 2) of several groups, with class and title, each as a grid of cells: the darker the more points are
+    in it. All have the same axes and the same shades."""
+    every = np.concatenate([points for _, _, points in groups])
+    (x0, x1), (y0, y1) = ((float(column.min()), float(column.max())) for column in every.T)
+    rows = max(8, round(CELLS * (HEIGHT - TOP - BOTTOM) / (WIDTH - LEFT - RIGHT)))
+    grids = [
+        np.histogram2d(points[:, 0], points[:, 1], (CELLS, rows), range=[(x0, x1), (y0, y1)]) for _, _, points in groups
+    ]
+    most = max(int(counts.max()) for counts, _, _ in grids)
+    drawn = []
+    for (kind, title, _), (counts, across, up) in zip(groups, grids, strict=True):
+        parts = [f'<text x="{LEFT}" y="12" class="head">{escape(title)}</text>']
+        parts += y_axis(round_ticks(y0, y1, 4), y0, y1, "second component")
+        parts += x_axis(round_ticks(x0, x1), x0, x1, "first component")
+        for column, row in np.argwhere(counts > 0).tolist():
+            left, right = (x_of(float(edge), x0, x1) for edge in across[column : column + 2])
+            bottom, top = (y_of(float(edge), y0, y1) for edge in up[row : row + 2])
+            count = int(counts[column, row])
+            parts.append(
+                _rect(left, top, right - left, bottom - top, kind, f"{count} frames", opacity=_shade(count, most))
+            )
+        scale = sorted({1, round(most**0.5), most})
+        keys = "".join(_key(kind, f"{count:,}", _shade(count, most)) for count in scale)
+        drawn.append(_figure(parts, f'<span class="key">frames in a cell:</span>{keys}'))
+    return drawn
 
 
 def empty() -> str:
@@ -95,23 +103,8 @@ def empty() -> str:
     return '<p class="nothing">Nothing to show.</p>'
 
 
-def _axes(low: float, high: float, most: int, unit: str) -> list[str]:
-    parts = []
-    for share in (0.0, 0.5, 1.0):
-        y = _y(share * most, most)
-        parts.append(f'<line x1="{LEFT}" x2="{WIDTH - 8}" y1="{y}" y2="{y}" class="grid"/>')
-        if (share * most).is_integer():
-            parts.append(f'<text x="{LEFT - 6}" y="{y + 4}" text-anchor="end">{share * most:.0f}</text>')
-        x = LEFT + share * (WIDTH - LEFT - 8)
-        anchor = {0.0: "start", 0.5: "middle", 1.0: "end"}[share]
-        told = f"{low + share * (high - low):.4g}"
-        parts.append(f'<text x="{x}" y="{HEIGHT - BOTTOM + 16}" text-anchor="{anchor}">{told}</text>')
-    parts.append(f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 2}" text-anchor="middle">{escape(unit)}</text>')
-    return parts
-
-
-def _y(value: float, most: int) -> float:
-    return round(HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * value / most, 2)
+def _shade(count: int, most: int) -> float:
+    return FAINTEST + (1 - FAINTEST) * float(np.log(count) / np.log(most)) if most > 1 else 1.0
 
 
 def _rect(x: float, y: float, width: float, height: float, kind: str, told: str, *, opacity: float = 1.0) -> str:
@@ -122,7 +115,11 @@ def _rect(x: float, y: float, width: float, height: float, kind: str, told: str,
     )
 
 
-def _svg(parts: Sequence[str], width: float, height: float, legend: Sequence[str] = ()) -> str:
-    keys = "".join(f'<span class="key"><i class="{name}"></i>{escape(name)}</span>' for name in legend)
-    drawn = f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" role="img">'
-    return f"<figure>{drawn}{''.join(parts)}</svg><figcaption>{keys}</figcaption></figure>"
+def _key(kind: str, told: str = "", opacity: float = 1.0) -> str:
+    faint = f' style="opacity:{opacity:.2f}"' if opacity < 1 else ""
+    return f'<span class="key"><i class="{kind}"{faint}></i>{escape(told or kind)}</span>'
+
+
+def _figure(parts: Sequence[str], caption: str) -> str:
+    drawn = f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}" class="chart" role="img">'
+    return f"<figure>{drawn}{''.join(parts)}</svg><figcaption>{caption}</figcaption></figure>"
