@@ -476,7 +476,9 @@ def curate(
         overwrite=overwrite,
     )
     if show_features:
-        print(command.print_features(request), end="")
+        with _progress("Opening recordings") as progress:
+            shown = command.print_features(request, progress)
+        print(shown, end="")
         return
     weigh = None
     if weights_from:

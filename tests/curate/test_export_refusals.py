@@ -1,5 +1,6 @@
 """What cannot be curated is refused in one message, and nothing is left at the place of the dataset."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -239,6 +240,26 @@ def test_the_printed_mapping_is_the_automatic_one(tmp_path):
         assert (tmp_path / "d" / name).read_bytes() == (tmp_path / "e" / name).read_bytes()
     assert "observation.images.front" in (tmp_path / "d" / "meta" / "info.json").read_text()
     assert open_reader(tmp_path / "d").open("episode_000000").streams["observation.images.front"].count == 30
+
+
+def test_recordings_that_the_printed_mapping_does_not_fit_are_told(picks, tmp_path):
+    alone = print_features(Request(sources=(str(picks),)))
+    assert "differ" not in alone
+    small = {"/camera/front": Camera(width=64, height=48)}
+    write_picks(tmp_path / "seen", [None, None], cameras=small)
+    own_recording(tmp_path / "own", np.zeros((30, 2)), hz=30)
+    write_picks(tmp_path / "lame", [None], action_topic=None)
+    sources = tuple(str(tmp_path / name) for name in ("demos", "seen", "own", "lame"))
+    mixed = print_features(Request(sources=sources))
+    assert tomllib.loads(mixed) == tomllib.loads(alone)
+    assert [line for line in mixed.splitlines() if line.startswith("#")][1:] == [
+        "# Of other recordings the automatic ones differ:",
+        "# seen, pick_0.mcap and 1 more: 'observation.images.front' besides, /camera/front (64x48 pixels).",
+        "# own, own.mcap: 'observation.state' is /proprio (2 numbers), not /joint_states (7 numbers); "
+        "'action' is /action (2 numbers), not /action (7 numbers).",
+        "# lame, pick_0.mcap: no stream is called what 'action' is usually called; streams of numbers are: "
+        "/joint_states.",
+    ]
 
 
 def test_two_runs_do_not_write_into_one_folder(picks, tmp_path):

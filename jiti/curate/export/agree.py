@@ -34,7 +34,7 @@ def check_shapes(found: Sequence[Opened]) -> None:
         for key, there in shape.items():
             if there.shape != expected[key].shape:
                 raise SourceError(
-                    f"{key!r} is {_size(expected[key])} in {one}, and {_size(there)} in {other}. {remedy}"
+                    f"{key!r} is {size_of(expected[key])} in {one}, and {size_of(there)} in {other}. {remedy}"
                 )
             if there.names and expected[key].names and there.names != expected[key].names:
                 pairs = enumerate(zip(expected[key].names, there.names, strict=True))
@@ -44,7 +44,8 @@ def check_shapes(found: Sequence[Opened]) -> None:
                 )
 
 
-def _size(shape: Shape) -> str:
+def size_of(shape: Shape) -> str:
+    """`8 numbers`, `64x48 pixels`."""
     if shape.dtype == "video":
         return f"{shape.shape[1]}x{shape.shape[0]} pixels"
     return f"{shape.shape[0]} numbers"

@@ -8,16 +8,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-from jiti.curate.export.automatic import map_automatically
 from jiti.curate.export.build import Output, build
 from jiti.curate.export.card import dataset_card
 from jiti.curate.export.codec import Codec, Name
 from jiti.curate.export.counted import MAJORITY, Rule
 from jiti.curate.export.curated import Added, Curated
-from jiti.curate.export.features_file import features_toml, read_features
+from jiti.curate.export.features_file import read_features
 from jiti.curate.export.filter import Filter
 from jiti.curate.export.held_out import Dealt, splits_file
 from jiti.curate.export.plan import Choice, Plan, make_plan
+from jiti.curate.export.show_features import show_features
 from jiti.curate.export.sources import Source, open_sources
 from jiti.curate.export.split import DEFAULT, parse_shares
 from jiti.curate.export.weights import WEIGHTS_FILE
@@ -25,7 +25,7 @@ from jiti.curate.report import report_on
 from jiti.curate.returns import GAMMA
 from jiti.episodes.lerobot_info import INFO_PATH
 from jiti.episodes.lerobot_reader import LeRobotReader
-from jiti.errors import SourceError, UsageError
+from jiti.errors import UsageError
 from jiti.progress import Progress
 
 Unlabelled = Literal["leave", "keep"]
@@ -173,21 +173,12 @@ def write(prepared: Prepared, progress: Progress = lambda _share, _what: None) -
     )
 
 
-def print_features(request: Request) -> str:
+def print_features(request: Request, progress: Progress = lambda _share, _what: None) -> str:
     """The mapping of the first recording that can be opened, as a file to begin from. Raises JitiError."""
     sources = open_sources(
         request.sources, labels=request.labels, tasks=request.tasks or None, rule=Rule(request.rule, request.accept)
     )
-    problem: SourceError | None = None
-    for source in sources:
-        for ref in source.reader.episodes():
-            try:
-                episode = source.reader.open(ref.episode_id)
-            except SourceError as error:
-                problem = problem or error
-                continue
-            return features_toml(map_automatically(episode, ref.title), f"{source.name}, {ref.title}")
-    raise problem or SourceError("the sources have no episodes.")
+    return show_features(sources, progress)
 
 
 def _about(request: Request, choice: Choice, sources: Sequence[Source], plan: Plan) -> dict[str, Any]:

@@ -67,9 +67,11 @@ def read_features(path: Path) -> tuple[Feature, ...]:
     return tuple(found)
 
 
-def features_toml(features: Sequence[Feature], title: str) -> str:
-    """The file that gives these features; `title` says of which recording they are."""
+def features_toml(features: Sequence[Feature], title: str, comments: Sequence[str] = ()) -> str:
+    """The file that gives these features; `title` says of which recording they are, comments follow."""
     lines = [f"# Features of {title}. Change them and pass this file with --features."]
+    if comments:
+        lines += ["# Of other recordings the automatic ones differ:", *comments]
     for feature in features:
         lines += ["", f"[features.{json.dumps(feature.key)}]"]
         if feature.streams:
