@@ -80,7 +80,8 @@ def open_agent(plan: RolloutPlan, observation: Observation) -> Agent:
     with redirect_stdout(StringIO()):  # where lerobot says that it loads weights, and `--json` is printed
         sampler = open_sampler(plan.policy, plan.device)
         if plan.critic is None:
-            return Agent(sampler)
+            return Agent(sampler.only(sampler.executed))
         scorer = open_scorer(plan.critic, plan.device)
     check_pair(sampler, scorer, observation)
-    return Agent(sampler, scorer)
+    # No more of a chunk than is executed or valued: SmolVLA makes 50 actions otherwise.
+    return Agent(sampler.only(max(sampler.executed, scorer.chunk)), scorer)
