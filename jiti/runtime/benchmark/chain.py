@@ -17,6 +17,7 @@ from jiti.runtime.benchmark.make import (
     make_dataset,
     make_labels,
     make_recordings,
+    recording_names,
     recordings_plan,
     reviewed,
 )
@@ -203,7 +204,7 @@ class Chain:
         folder = self.work.folder(stage.needs[0])
         made = make_labels(folder, self.plan.data.episodes, progress)
         if self.annotator:
-            count = accept_all(folder, self.annotator)
+            count = accept_all(folder, recording_names(self.plan, stage.name), self.annotator)
             self.say(f"{count} proposals of the simulator were accepted in the name of {self.annotator}")
         return made
 

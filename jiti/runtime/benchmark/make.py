@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +69,9 @@ def make_labels(folder: Path, episodes: int, progress: Progress) -> dict[str, An
     return {"episodes": labelled.episodes, "satisfied": labelled.satisfied, "violated": labelled.violated}
 
 
-def accept_all(folder: Path, annotator: str) -> int:
-    """Accept every proposal that no one has decided yet, with its verdict, in the name of an annotator; say how many.
+def accept_all(folder: Path, episodes: Collection[str], annotator: str) -> int:
+    """Accept every proposal for some episodes that no one has decided yet, with its verdict, in the name of an annotator;
+    say how many.
 
     What people rejected or changed stays. Raises LabelError, SaveFailed.
     """
@@ -81,7 +82,7 @@ def accept_all(folder: Path, annotator: str) -> int:
     proposals = to_segments(found.filter(pa.array([name in MACHINES for name in found["annotator"].to_pylist()])))
     accepted: dict[str, list[Segment]] = {}
     for proposal in pending(proposals, decided):
-        if proposal.reward is not None:
+        if proposal.reward is not None and proposal.episode_id in episodes:
             accepted.setdefault(proposal.episode_id, []).append(accept(proposal))
     for episode_id, segments in accepted.items():
         episode = reader.open(episode_id)
@@ -89,6 +90,11 @@ def accept_all(folder: Path, annotator: str) -> int:
         partition = store.partition(annotator, episode_id, recording)
         partition.apply("accept", put=segments, based_on=partition.version)
     return sum(map(len, accepted.values()))
+
+
+def recording_names(plan: BenchmarkPlan, stem: str) -> list[str]:
+    """Of a task's recordings, by the name of its stage: their files without the suffix, which are episode ids as well."""
+    return [f"{stem}_{seed:04d}" for seed in range(plan.data.seed, plan.data.seed + plan.data.episodes)]
 
 
 def make_dataset(work: Work, stage: Stage, plan: BenchmarkPlan, progress: Progress) -> dict[str, Any]:
@@ -103,8 +109,7 @@ def make_dataset(work: Work, stage: Stage, plan: BenchmarkPlan, progress: Progre
         recordings = work.folder(needed.needs[0])
         if work.flat:
             # By file: whatever else lies there is not learned from.
-            seeds = range(plan.data.seed, plan.data.seed + plan.data.episodes)
-            sources += [str(recordings / f"{needed.name}_{seed:04d}.mcap") for seed in seeds]
+            sources += [str(recordings / f"{name}.mcap") for name in recording_names(plan, needed.name)]
             labels = (recordings / "labels",)
         else:
             sources.append(str(recordings))
