@@ -70,8 +70,8 @@ def make_labels(folder: Path, episodes: int, progress: Progress) -> dict[str, An
 
 
 def accept_all(folder: Path, episodes: Collection[str], annotator: str) -> int:
-    """Accept every proposal for some episodes that no one has decided yet, with its verdict, in the name of an annotator;
-    say how many.
+    """Accept every proposal for some episodes that no one has decided yet, as it is, in the name of an annotator; say
+    how many.
 
     What people rejected or changed stays. Raises LabelError, SaveFailed.
     """
@@ -93,7 +93,7 @@ def accept_all(folder: Path, episodes: Collection[str], annotator: str) -> int:
 
 
 def recording_names(plan: BenchmarkPlan, stem: str) -> list[str]:
-    """Of a task's recordings, by the name of its stage: their files without the suffix, which are episode ids as well."""
+    """Of a task's recordings, by the name of its stage: of their files, without the suffix, and of the episodes."""
     return [f"{stem}_{seed:04d}" for seed in range(plan.data.seed, plan.data.seed + plan.data.episodes)]
 
 
