@@ -83,10 +83,15 @@ class Decision:
         return abs(self.q_t - self.q_bar)
 
 
+_NOISE, _PICK = 1, 2
+"""What a stream of random numbers is for: the last of its seeds, and not 0, because numpy takes seeds that end in zeros
+for those without them, so that streams of fewer seeds (a scene's) would be the same."""
+
+
 def noise(seed: int, decision: int, candidate: int, shape: tuple[int, ...]) -> np.ndarray:
     """Standard normal float32 that depends on nothing else, so that methods share it and none draws what it does not
     use. Candidate 0 is the default."""
-    return np.random.default_rng([seed, decision, candidate]).standard_normal(shape, dtype=np.float32)
+    return np.random.default_rng([seed, decision, candidate, _NOISE]).standard_normal(shape, dtype=np.float32)
 
 
 @dataclass(slots=True)
@@ -143,7 +148,7 @@ class Guide:
         # Stable, so that of equal values the earlier candidate counts as the better one.
         ranked = np.argsort(-values, kind="stable")
         if self.guidance.pick == "random":
-            return int(np.random.default_rng([self.seed, decision]).integers(len(values)))
+            return int(np.random.default_rng([self.seed, decision, 0, _PICK]).integers(len(values)))
         place = {"best": 0, "median": (len(values) - 1) // 2, "worst": -1}[self.guidance.pick]
         return int(ranked[place])
 

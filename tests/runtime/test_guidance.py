@@ -87,6 +87,25 @@ def test_methods_share_their_noise_and_a_random_pick_triggers_where_jiti_does():
     assert len({d.chosen for d in random if d.triggered}) > 1
 
 
+def test_no_noise_is_the_stream_of_a_scene_or_of_fewer_seeds():
+    for seed, decision in np.ndindex(20, 4):
+        first = noise(seed, decision, 0, SHAPE)
+        for other in ([seed], [seed, 0], [seed, decision], [seed, decision, 0]):
+            drawn = np.random.default_rng(other).standard_normal(SHAPE, dtype=np.float32)
+            assert not np.array_equal(first, drawn)
+
+
+def test_the_random_pick_does_not_depend_on_the_noise_of_the_default():
+    values, chosen, size = np.arange(8.0), [], []
+    for seed in range(400):
+        guide = Guide(Guidance("full", "random"), seed, SHAPE)
+        _, decision = guide.decide(lambda given: given, lambda chunks: values[: len(chunks)])
+        chosen.append(decision.chosen)
+        size.append(abs(float(noise(seed, 0, 0, SHAPE)[0, 0])))
+    assert abs(np.corrcoef(chosen, size)[0, 1]) < 0.15
+    assert np.bincount(chosen, minlength=8).min() > 400 / 8 / 2
+
+
 @pytest.mark.parametrize("broken", [0, 3])
 def test_a_critic_without_a_number_leaves_the_default_and_is_told(broken):
     def value(chunks, step):
