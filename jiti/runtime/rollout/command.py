@@ -185,8 +185,9 @@ class _Tool:
     def calibrate_alone(self, rate: float) -> Done:
         found, path = self._calibrate(rate, self.plan.seed, self.episodes)
         text = (
-            f"tau is {found.tau:.4g}: {rate:.1%} of {found.decisions} decisions of {found.episodes} unguided episodes "
-            f"exceed it. It is kept in {path}; `jiti rollout` takes it from there."
+            f"tau is {found.tau:.4g}: {found.measured:.1%} of {found.decisions} decisions of {found.episodes} unguided "
+            f"episodes exceed it, where {rate:.1%} was asked for. It is kept in {path}; `jiti rollout` takes it from "
+            "there."
         )
         return Done(text, {**asdict(found), "path": str(path)})
 
@@ -195,7 +196,9 @@ class _Tool:
         path = tau_path(self.plan.critic, self.folder)
         found, why = stored_tau(path, self.plan, window=self.request.window, episodes=self.episodes)
         if found is not None:
-            self.say(f"tau {found.tau:.4g} from {path}, calibrated to {found.rate:.1%} of decisions")
+            self.say(
+                f"tau {found.tau:.4g} from {path}: {found.measured:.1%} of {found.decisions} decisions exceeded it"
+            )
             return found
         evaluated = range(self.plan.seed, self.plan.seed + self.episodes)
         seed = disjoint_seed(evaluated, CALIBRATION_EPISODES)
@@ -205,13 +208,15 @@ class _Tool:
             "which is evaluated"
         )
         found, path = self._calibrate(INTERVENTION_RATE, seed, CALIBRATION_EPISODES)
-        self.say(f"tau is {found.tau:.4g}, kept in {path}")
+        self.say(
+            f"tau is {found.tau:.4g}, kept in {path}: {found.measured:.1%} of {found.decisions} decisions exceed it"
+        )
         return found
 
     def _calibrate(self, rate: float, seed: int, episodes: int) -> tuple[Calibration, Path]:
         plan = replace(self.plan, seed=seed)
-        # A folder for each start: a wider calibration does not disturb one that is there.
-        folder = self.folder / CALIBRATION_FOLDER / f"{seed}-k{self.request.window}"
+        # A folder for each start and length: a wider or longer calibration does not disturb one that is there.
+        folder = self.folder / CALIBRATION_FOLDER / f"{seed}-k{self.request.window}-{plan.most_steps}"
         found = calibrate(
             [plan],
             folder,

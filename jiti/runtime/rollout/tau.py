@@ -31,7 +31,8 @@ CALIBRATION_SEED = 200_000
 CALIBRATION_EPISODES = 20
 """Our choice: some 400 decisions, which place the rate to about 3 points."""
 TAU_FILE = "tau.json"
-_VERSION = 1
+_VERSION = 2
+"""2: with the share measured, most steps and cameras, without which none is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,9 @@ class Calibration:
 
     tau: float
     rate: float
-    """Share of the decisions that exceeded it."""
+    """Share of decisions that was to exceed it."""
+    measured: float
+    """Share of these decisions that did: delta_q > tau."""
     window: int
     """k"""
     policy: str
@@ -49,6 +52,10 @@ class Calibration:
     tasks: tuple[str, ...]
     start: str
     assets: str
+    cameras: tuple[str, ...]
+    """Rendered; without any, neither policy nor critic looked at pictures."""
+    most_steps: int
+    """After which an episode was cut off."""
     seeds: tuple[int, int]
     """First, and the one after the last, of each task."""
     episodes: int
@@ -60,10 +67,14 @@ class Calibration:
     def unlike(self, plan: RolloutPlan, window: int, policy: str, critic: str, episodes: int) -> str:
         """Why this is not for the rollouts of a plan; empty where it is."""
         wanted = {"window": window, "policy": policy, "critic": critic}
-        wanted |= {"start": plan.start, "assets": pack_name(plan.assets)}
+        wanted |= {"start": plan.start, "assets": pack_name(plan.assets), "most_steps": plan.most_steps}
         for name, value in wanted.items():
             if getattr(self, name) != value:
                 return f"it was calibrated with {name} {getattr(self, name)} and not {value}"
+        if self.cameras and self.cameras != plan.cameras:
+            return (
+                f"it was calibrated with cameras {', '.join(self.cameras)} and not {', '.join(plan.cameras) or 'none'}"
+            )
         if plan.task.task_id not in self.tasks:
             return f"it was calibrated on {', '.join(self.tasks)}"
         if max(self.seeds[0], plan.seed) < min(self.seeds[1], plan.seed + episodes):
@@ -114,15 +125,19 @@ def calibrate(
     first = plans[0]
     assert first.critic is not None
     delta_q = np.array([choice.delta_q for rollout in played for choice in rollout.choices])
+    tau = calibrated_tau(delta_q, rate)
     return Calibration(
-        calibrated_tau(delta_q, rate),
+        tau,
         rate,
+        float(np.mean(delta_q > tau)),
         window,
         fingerprint(policy_folder(first.policy)),
         fingerprint(critic_folder(first.critic)),
         tuple(plan.task.task_id for plan in plans),
         first.start,
         pack_name(first.assets),
+        first.cameras,
+        first.most_steps,
         (first.seed, first.seed + episodes),
         len(played),
         len(delta_q),
@@ -143,13 +158,14 @@ def tau_path(critic: str, otherwise: Path) -> Path:
 
 
 def save_calibration(path: Path, found: Calibration) -> None:
-    """Keep a calibration, in the place of one with the same rate, window, policy, tasks and starts.
+    """Keep a calibration, in the place of one with the same rate, window, policy, tasks, starts, cameras and length.
 
     Those of another critic are dropped: weights that stood here before. Raises SaveFailed.
     """
 
     def key(one: Calibration) -> tuple[Any, ...]:
-        return (one.rate, one.window, one.policy, one.critic, one.tasks, one.start, one.assets)
+        played = (one.tasks, one.start, one.assets, one.cameras, one.most_steps)
+        return (one.rate, one.window, one.policy, one.critic, *played)
 
     kept = [one for one in load_calibrations(path) if one.critic == found.critic and key(one) != key(found)]
     content = {"version": _VERSION, "calibrations": [asdict(one) for one in (*kept, found)]}
@@ -157,15 +173,18 @@ def save_calibration(path: Path, found: Calibration) -> None:
 
 
 def load_calibrations(path: Path) -> list[Calibration]:
-    """The oldest first; none where there is no file. Raises SourceError for a file of something else."""
+    """The oldest first; none where there is no file, or one of an older version, which does not say what tau depends
+    on. Raises SourceError for a file of something else."""
     if not path.exists():
         return []
     try:
         content = json.loads(path.read_bytes())
-        if content["version"] != _VERSION:
+        if content["version"] < _VERSION:
+            return []
+        if content["version"] > _VERSION:
             raise ValueError(f"version {content['version']}; this jiti reads {_VERSION}")
         return [
-            Calibration(**row | {"tasks": tuple(row["tasks"]), "seeds": tuple(row["seeds"])})
+            Calibration(**row | {name: tuple(row[name]) for name in ("tasks", "cameras", "seeds")})
             for row in content["calibrations"]
         ]
     except (OSError, ValueError, KeyError, TypeError) as error:

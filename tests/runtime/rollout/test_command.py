@@ -108,7 +108,8 @@ def test_tau_is_calibrated_alone_and_kept_with_the_critic(here, tmp_path):
     assert isinstance(done, Done)
     (kept,) = load_calibrations(here / "critic-2/tau.json")
     assert (kept.rate, kept.seeds, kept.decisions) == (0.25, (CALIBRATION_SEED, CALIBRATION_SEED + 2), 10)
-    assert "tau is" in done.text
+    assert f"{kept.measured:.1%} of 10 decisions" in done.text
+    assert "25.0% was asked for" in done.text
     assert json.loads(done.to_json())["tau"] == kept.tau
 
 

@@ -19,9 +19,9 @@ from jiti.runtime.rollout.tau import (
     tau_path,
 )
 from tests.builders.rollout_agents import wandering
-from tests.runtime.rollout.conftest import NONE, write_critic
+from tests.runtime.rollout.conftest import NONE, STEPS, write_critic
 
-FOUND = Calibration(0.5, 0.3, 5, "p", "c", ("elegant/T2",), "jitter", "primitive", (100, 110), 10, 200)
+FOUND = Calibration(0.5, 0.3, 0.29, 5, "p", "c", ("elegant/T2",), "jitter", "primitive", (), STEPS, (100, 110), 10, 200)
 
 
 @pytest.mark.sim
@@ -32,6 +32,8 @@ def test_it_is_the_jump_that_the_wished_share_of_unguided_decisions_exceeds(plan
     played = all_rollouts(tmp_path / "elegant-T2")
     jumps = np.array([c.delta_q for r in played for c in r.choices])
     assert np.mean(jumps > found.tau) == pytest.approx(0.4)
+    assert (found.rate, found.measured) == (0.4, np.mean(jumps > found.tau))
+    assert (found.most_steps, found.cameras) == (STEPS, ())
     assert not any(c.triggered for r in played for c in r.choices)
     assert not list(tmp_path.rglob("*.mcap"))
     # What was played is what the base policy does: the critic only looked on.
@@ -58,6 +60,7 @@ def test_it_is_taken_only_for_what_it_was_measured_on(plan, tmp_path):
     for said, other, episodes in (
         ("window 5 and not 4", plan, 50),
         ("start jitter and not file", replace(plan, start="file"), 50),
+        (f"most_steps {STEPS} and not 600", replace(plan, most_steps=600), 50),
         ("seeds 100 to 109 are among", replace(plan, seed=60), 41),
         ("seeds 100 to 109 are among", replace(plan, seed=109), 1),
     ):
@@ -66,6 +69,12 @@ def test_it_is_taken_only_for_what_it_was_measured_on(plan, tmp_path):
         assert said in why
     for first in (50, 110):
         assert stored_tau(path, replace(plan, seed=first), window=5, episodes=50)[0] == fits
+    # Without cameras no one looked at pictures, so more of them change nothing; with some it depends on which.
+    assert stored_tau(path, replace(plan, cameras=("front",)), window=5, episodes=50)[0] == fits
+    looking = replace(fits, cameras=("front",))
+    for cameras, said in ((("front",), ""), (("front", "wrist"), "front and not front, wrist"), ((), "and not none")):
+        assert said in looking.unlike(replace(plan, cameras=cameras), 5, policy, critic, 50)
+        assert bool(said) == bool(looking.unlike(replace(plan, cameras=cameras), 5, policy, critic, 50))
     (tmp_path / "policy" / "model.safetensors").write_bytes(b"trained on")
     assert "calibrated with policy" in stored_tau(path, plan, window=5, episodes=50)[1]
 
@@ -81,6 +90,25 @@ def test_the_newest_counts_and_weights_that_are_gone_are_forgotten(tmp_path):
     assert load_calibrations(path) == [new_critic]
     path.write_text("{}")
     with pytest.raises(SourceError, match=r"is damaged.*Delete it"):
+        load_calibrations(path)
+
+
+def test_short_and_long_episodes_keep_a_tau_each(tmp_path):
+    path = tmp_path / "tau.json"
+    many = [FOUND, replace(FOUND, most_steps=600), replace(FOUND, cameras=("front", "wrist"))]
+    for one in many:
+        save_calibration(path, one)
+    assert load_calibrations(path) == many
+
+
+def test_a_file_that_does_not_say_what_tau_depends_on_counts_for_none(tmp_path):
+    path = tmp_path / "tau.json"
+    path.write_text('{"version": 1, "calibrations": [{"tau": 0.5, "rate": 0.3}]}')
+    assert load_calibrations(path) == []
+    save_calibration(path, FOUND)
+    assert load_calibrations(path) == [FOUND]
+    path.write_text('{"version": 9, "calibrations": []}')
+    with pytest.raises(SourceError, match="version 9"):
         load_calibrations(path)
 
 
