@@ -58,8 +58,8 @@ class JitiConfig(PreTrainedConfig):
         return Guidance(**chosen, candidates=self.candidates, window=self.window, tau=self.tau)
 
     def found(self, reference: str) -> str:
-        """A reference as it is opened: beside this config where it is there."""
-        if self.pretrained_path is not None and not Path(reference).is_absolute():
+        """A reference as it is opened: beside this config where it is there. Nothing stays nothing."""
+        if reference and self.pretrained_path is not None and not Path(reference).is_absolute():
             beside = Path(self.pretrained_path) / reference
             if beside.is_dir():
                 return str(beside)

@@ -165,6 +165,13 @@ def test_without_guidance_no_critic_is_needed_and_nothing_is_ever_trained(base, 
             train()
 
 
+def test_a_policy_without_a_critic_is_saved_without_one_again(base, tmp_path):
+    save_jiti(tmp_path / "first", base=base, method="none")
+    policy, _, _ = opened(tmp_path / "first")
+    policy.save_pretrained(tmp_path / "second")
+    assert json.loads((tmp_path / "second/config.json").read_text())["critic"] == ""
+
+
 def test_environments_cannot_come_and_go_within_an_episode(base, tmp_path):
     policy, before, after = opened(save_jiti(tmp_path, base, method="none"))
     played(policy, before, after, seeds=[3, 4])
