@@ -15,6 +15,7 @@ from jiti.durable import write_atomic
 from jiti.episodes.folder_reader import ROLLOUTS_FILE, ROLLOUTS_FORMAT, is_rollouts
 from jiti.errors import SourceError, UsageError
 from jiti.runtime.rollout.plan import RolloutPlan, label_of, settings_of
+from jiti.runtime.rollout.result import RECORDING_SUFFIX, RESULT_SUFFIX
 
 PACKAGES = ("lerobot", "torch", "mujoco", "robosuite", "hf-libero", "numpy")
 """Whose versions may change a number."""
@@ -58,7 +59,8 @@ def critic_folder(critic: str) -> Path:
 
 
 def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
-    """Write the plan into its folder, beside what was played there before; give the file's content.
+    """Write the plan into its folder, beside what was played there before; give the file's content. A plan of which
+    nothing was played, because its policy or critic was refused for instance, is forgotten.
 
     Raises UsageError that names what differs from the rollouts that are there.
     """
@@ -69,7 +71,8 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
     path = folder / ROLLOUTS_FILE
     before: dict[str, Any] = {}
     if path.exists():
-        before = read_plan(folder)
+        before = _played_before(folder)
+    if before:
         known = {label: before["methods"][label] for label in methods if label in before["methods"]}
         there = {**before["shared"], **_flat(known)}
         wanted = {**shared, **_flat({label: methods[label] for label in known})}
@@ -85,11 +88,31 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
         "format": ROLLOUTS_FORMAT,
         "shared": shared,
         "methods": {**before.get("methods", {}), **methods},
-        "sources": {"policy": plan.policy, "critic": plan.critic},
+        "sources": _sources(plan, methods, before),
         "runs": [*before.get("runs", ()), _this_run(plan)],
     }
     write_atomic(path, json.dumps(content, indent=2).encode())
     return content
+
+
+def _played_before(folder: Path) -> dict[str, Any]:
+    """The folder's plan with the guidances of which something was played; empty where nothing was."""
+    content = read_plan(folder)
+    methods = {label: one for label, one in content["methods"].items() if _has_rollouts(folder / label)}
+    return {**content, "methods": methods} if methods else {}
+
+
+def _has_rollouts(folder: Path) -> bool:
+    """Also of a recording whose result is missing: it is of the same plan."""
+    return any(next(folder.glob(f"[!.]*{suffix}"), None) for suffix in (RESULT_SUFFIX, RECORDING_SUFFIX))
+
+
+def _sources(plan: RolloutPlan, methods: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """Where policy and critic were; a run that asks no critic leaves the one that guided others."""
+    critic = before.get("sources", {}).get("critic")
+    if critic is None or any(settings.get("critic") for settings in methods.values()):
+        critic = plan.critic
+    return {"policy": plan.policy, "critic": critic}
 
 
 def read_plan(folder: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from jiti.runtime.rollout.plan import label_of
 from jiti.runtime.rollout.play import Decided, Played
 from jiti.tasks.judge import Verdict
 
-RESULT_SUFFIX = ".json"
+RESULT_SUFFIX, RECORDING_SUFFIX = ".json", ".mcap"
 ROLLOUTS, DECISIONS = "rollouts.parquet", "decisions.parquet"
 
 

@@ -19,14 +19,20 @@ from jiti.runtime.rollout.plan import RolloutPlan
 from jiti.runtime.rollout.plan_file import enter_plan, read_plan
 from jiti.runtime.rollout.play import Watcher, lerobot_keys, play
 from jiti.runtime.rollout.recorder import Recorder
-from jiti.runtime.rollout.result import RESULT_SUFFIX, Rollout, load_result, rollout_of, save_result, write_tables
+from jiti.runtime.rollout.result import (
+    RECORDING_SUFFIX,
+    RESULT_SUFFIX,
+    Rollout,
+    load_result,
+    rollout_of,
+    save_result,
+    write_tables,
+)
 from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.env import ElegantEnv
 from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.libero import bddl_file, pack_folder
 from jiti.runtime.workers import alone, check_stop, in_processes, remove_leftovers
-
-RECORDING_SUFFIX = ".mcap"
 
 
 @dataclass(frozen=True)

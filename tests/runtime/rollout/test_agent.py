@@ -84,3 +84,6 @@ def test_a_critic_of_other_sizes_is_refused_before_anything_is_played(made, tmp_
     with pytest.raises(UsageError, match="chunks of 12 actions, and the policy gives 10"):
         run_rollouts(replace(plan, critic=str(long)), tmp_path / "out2", episodes=1, workers=1)
     assert not list(tmp_path.glob("out*/*/*"))
+    # Nothing was played, so the folder takes the right one.
+    (_, jiti) = run_rollouts(plan, tmp_path / "out", episodes=1, workers=1)
+    assert jiti.interventions == 7

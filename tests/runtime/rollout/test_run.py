@@ -16,6 +16,7 @@ from jiti.episodes.reader import open_reader
 from jiti.errors import SourceError, UsageError
 from jiti.runtime.guidance import Guidance
 from jiti.runtime.rollout.plan import RolloutPlan
+from jiti.runtime.rollout.plan_file import enter_plan
 from jiti.runtime.rollout.result import load_result
 from jiti.runtime.rollout.run import all_rollouts, run_rollouts
 from jiti.runtime.sim.record import recorded_metadata
@@ -215,6 +216,36 @@ def test_a_folder_takes_no_rollouts_of_another_plan(played, tmp_path):
     kept = replace(plan, guidances=(NONE,), critic=str(other_critic))
     assert len(run_rollouts(kept, out, episodes=1, workers=1, make_agent=wandering)) == 1
     assert json.loads((out / "plan.json").read_text())["shared"] == json.loads(before)["shared"]
+
+
+def test_a_plan_of_which_nothing_was_played_does_not_bind_its_folder(plan, played, tmp_path):
+    other = replace(plan, critic=str(write_critic(tmp_path / "other", b"other weights")), seed=9)
+    enter_plan(tmp_path, other)
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none/.tmp-12-ab-elegant-T2_0009.mcap").touch()
+    told = enter_plan(tmp_path, replace(plan, guidances=(NONE, JITI)))
+    assert (told["shared"]["seed"], list(told["methods"]), len(told["runs"])) == (7, ["none", "jiti"], 1)
+    # Where a guidance was played, what is shared binds, and its settings, but not those of one that was not played.
+    (tmp_path / "none/elegant-T2_0007.mcap").touch()
+    with pytest.raises(UsageError, match="seed 7 and not 9"):
+        enter_plan(tmp_path, other)
+    told = enter_plan(tmp_path, replace(other, seed=7, guidances=(FULL, replace(JITI, tau=2.0))))
+    assert list(told["methods"]) == ["none", "full", "jiti"]
+    assert told["methods"]["jiti"]["tau"] == 2.0
+    # Rollouts that are there are still compared with.
+    with pytest.raises(UsageError, match=r"jiti tau 1\.0 and not 2\.0"):
+        enter_plan(played[1], replace(played[0], guidances=(replace(JITI, tau=2.0),)))
+
+
+def test_a_run_without_a_critic_leaves_the_one_that_guided_others(plan, tmp_path):
+    out = tmp_path / "out"
+    (out / "none").mkdir(parents=True)
+    assert enter_plan(out, replace(plan, guidances=(NONE,), critic=None))["sources"]["critic"] is None
+    (out / "none/elegant-T2_0007.json").touch()
+    assert enter_plan(out, plan)["sources"]["critic"] == plan.critic
+    for critic in (None, str(write_critic(tmp_path / "other", b"other weights"))):
+        told = enter_plan(out, replace(plan, guidances=(NONE,), critic=critic))
+        assert told["sources"] == {"policy": plan.policy, "critic": plan.critic}
 
 
 def _task(task_id):
