@@ -72,8 +72,12 @@ class Request:
 
     def check(self) -> None:
         """Raises UsageError for what does not fit together."""
-        modes = {"--calibrate-tau": self.calibrate_tau, "--branch": self.branch, "--live": self.live}
-        if len(given := [flag for flag, value in modes.items() if value]) > 1:
+        modes = {
+            "--calibrate-tau": self.calibrate_tau is not None,
+            "--branch": bool(self.branch),
+            "--live": self.live,
+        }
+        if len(given := [flag for flag, wanted in modes.items() if wanted]) > 1:
             raise UsageError(f"{given[0]} and {given[1]} are two things to do: pass one of them.")
         if self.calibrate_tau is not None and self.guidance:
             raise UsageError("--calibrate-tau plays unguided episodes: leave --guidance out.")
@@ -81,6 +85,10 @@ class Request:
             raise UsageError("--calibrate-tau finds tau: leave --tau out.")
         if self.branch and self.guidance:
             raise UsageError("--branch is JITI with several picks: leave --guidance out.")
+        if self.branch and self.pick != "best":
+            raise UsageError(f"--branch names the picks itself: leave --pick out, or add {self.pick} to --branch.")
+        if twice := [pick for pick in self.branch if self.branch.count(pick) > 1]:
+            raise UsageError(f"--branch names {twice[0]} twice: each pick is one branch.")
         if not self.tau_scale > 0:
             raise UsageError(f"--tau-scale {self.tau_scale:g} must be above 0")
         if self.live and self.workers not in (None, 1):
@@ -122,7 +130,7 @@ def run_request(
     request.check()
     plan = _plan(request, catalogue, say, here or Path())
     folder = request.out or FOLDER / plan.task.task_id.replace("/", "-")
-    episodes = request.episodes or (CALIBRATION_EPISODES if request.calibrate_tau else EPISODES)
+    episodes = request.episodes or (EPISODES if request.calibrate_tau is None else CALIBRATION_EPISODES)
     tool = _Tool(request, plan, folder, episodes, progress, say, make_agent)
     if request.calibrate_tau is not None:
         return tool.calibrate_alone(request.calibrate_tau)
