@@ -54,12 +54,29 @@ class Silent:
         return lambda chunks: np.full(len(chunks), value)
 
 
+class LateSumming(Summing):
+    """Has no number for anything until the hand has moved."""
+
+    start: np.ndarray | None = None
+
+    def at(self, observation: Observation, instruction: str, seen: object):
+        state = observation["observation.state"]
+        if self.start is None or np.array_equal(state, self.start):
+            self.start = state.copy()
+            return lambda chunks: np.full(len(chunks), np.nan)
+        return super().at(observation, instruction, seen)
+
+
 def wandering(plan: RolloutPlan, observation: Observation) -> Agent:
     return Agent(Wandering(), Summing())
 
 
 def without_numbers(plan: RolloutPlan, observation: Observation) -> Agent:
     return Agent(Wandering(), Silent())
+
+
+def first_without_number(plan: RolloutPlan, observation: Observation) -> Agent:
+    return Agent(Wandering(), LateSumming())
 
 
 def broken(plan: RolloutPlan, observation: Observation) -> Agent:

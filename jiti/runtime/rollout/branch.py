@@ -19,7 +19,7 @@ from jiti.progress import Progress
 from jiti.runtime.rollout.agent import OpenAgent, open_agent
 from jiti.runtime.rollout.drawing import Branch, write_branches
 from jiti.runtime.rollout.plan import RolloutPlan
-from jiti.runtime.rollout.result import Rollout, load_result, outcome_text, write_tables
+from jiti.runtime.rollout.result import Rollout, load_result, outcome_text, without_nan, write_tables
 from jiti.runtime.rollout.run import (
     Job,
     all_rollouts,
@@ -123,7 +123,8 @@ def _branches(jobs: Sequence[Job], report: Progress) -> list[Job]:
 def _same_until(rollouts: Sequence[Rollout]) -> int:
     """Step of the first trigger. Raises UsageError where the ways differ before it."""
     place = next(k for k, choice in enumerate(rollouts[0].choices) if choice.triggered)
-    seen = [[(c.frame, c.q_t, c.values) for c in r.choices[: place + 1]] for r in rollouts]
+    # Where the critic gave no number, that is the same: NaN does not equal itself.
+    seen = [without_nan([(c.frame, c.q_t, c.values) for c in r.choices[: place + 1]]) for r in rollouts]
     if any(other != seen[0] for other in seen[1:]):
         raise UsageError(
             f"seed {rollouts[0].seed} went differently before its first trigger: something here does not repeat "

@@ -183,6 +183,21 @@ def test_one_episode_is_continued_in_several_ways_from_its_first_trigger(here, t
 
 
 @pytest.mark.sim
+def test_branches_agree_where_the_critic_gives_no_number(plan, tmp_path):
+    from jiti.runtime.rollout.branch import branch
+    from tests.builders import rollout_agents
+    from tests.runtime.rollout.conftest import Guidance
+
+    ways = tuple(Guidance("jiti", pick, tau=0.5) for pick in ("best", "worst"))
+    made = branch(
+        replace(plan, guidances=ways), tmp_path / "branch", episodes=1, make_agent=rollout_agents.first_without_number
+    )
+    first = made.rollouts[0].choices
+    assert first[0].problem
+    assert made.frame == next(c.frame for c in first if c.triggered) > first[0].frame
+
+
+@pytest.mark.sim
 def test_what_is_shown_live_is_kept_and_played_as_ever(plan, tmp_path):
     from jiti.runtime.rollout.live import watch_live
     from jiti.runtime.rollout.run import run_rollouts
