@@ -107,6 +107,7 @@ class RolloutPlan:
             "cameras": list(self.cameras),
             "most_steps": self.most_steps,
             "rate_hz": CONTROL_HZ,
+            "device": self.device,  # whose sums differ in the last digits
         }
 
 

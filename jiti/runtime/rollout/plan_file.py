@@ -98,6 +98,8 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
 def _played_before(folder: Path) -> dict[str, Any]:
     """The folder's plan with the guidances of which something was played; empty where nothing was."""
     content = read_plan(folder)
+    if content["runs"]:  # where it is not shared yet, an older jiti wrote the device with each run
+        content["shared"].setdefault("device", content["runs"][0].get("device"))
     methods = {label: one for label, one in content["methods"].items() if _has_rollouts(folder / label)}
     return {**content, "methods": methods} if methods else {}
 
@@ -135,7 +137,6 @@ def _flat(methods: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 def _this_run(plan: RolloutPlan) -> dict[str, Any]:
     return {
         "began": datetime.now(UTC).isoformat(timespec="seconds"),
-        "device": plan.device,
         "hardware": hardware(),
         "versions": versions(),
     }

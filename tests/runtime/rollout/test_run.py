@@ -204,6 +204,7 @@ def test_a_folder_takes_no_rollouts_of_another_plan(played, tmp_path):
         "jiti critic": replace(plan, critic=str(other_critic)),
         "seed 7 and not 9": replace(plan, seed=9),
         "most_steps 45 and not 46": replace(plan, most_steps=46),
+        "device 'cpu' and not 'cuda'": replace(plan, device="cuda"),
         "start 'jitter' and not 'file'": replace(plan, start="file"),
         r"jiti tau 1\.0 and not 2\.0": replace(plan, guidances=(Guidance("jiti", tau=2.0),)),
         "task 'elegant/T2' and not 'elegant/T0'": replace(plan, task=_task("elegant/T0")),
@@ -235,6 +236,18 @@ def test_a_plan_of_which_nothing_was_played_does_not_bind_its_folder(plan, playe
     # Rollouts that are there are still compared with.
     with pytest.raises(UsageError, match=r"jiti tau 1\.0 and not 2\.0"):
         enter_plan(played[1], replace(played[0], guidances=(replace(JITI, tau=2.0),)))
+
+
+def test_folders_in_which_each_run_has_its_device_are_gone_on_with(plan, tmp_path):
+    enter_plan(tmp_path, plan)
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none/elegant-T2_0007.json").touch()
+    told = json.loads((tmp_path / "plan.json").read_text())
+    told["runs"][0]["device"] = told["shared"].pop("device")
+    (tmp_path / "plan.json").write_text(json.dumps(told, indent=2))
+    assert enter_plan(tmp_path, plan)["shared"]["device"] == "cpu"
+    with pytest.raises(UsageError, match="device 'cpu' and not 'cuda'"):
+        enter_plan(tmp_path, replace(plan, device="cuda"))
 
 
 def test_a_run_without_a_critic_leaves_the_one_that_guided_others(plan, tmp_path):
