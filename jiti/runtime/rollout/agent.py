@@ -83,5 +83,6 @@ def open_agent(plan: RolloutPlan, observation: Observation) -> Agent:
             return Agent(sampler.only(sampler.executed))
         scorer = open_scorer(plan.critic, plan.device)
     check_pair(sampler, scorer, observation)
-    # No more of a chunk than is executed or valued: SmolVLA makes 50 actions otherwise.
+    # No more of a chunk than is executed or valued: SmolVLA makes 50 actions otherwise. As many for `none`, so that it
+    # is an exact pair of the others.
     return Agent(sampler.only(max(sampler.executed, scorer.chunk)), scorer)

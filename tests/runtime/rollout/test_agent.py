@@ -13,6 +13,7 @@ pytest.importorskip("lerobot", reason="needs pip install 'jiti[learn]'")
 
 from jiti.errors import UsageError
 from jiti.runtime.guidance import Guidance
+from jiti.runtime.rollout.agent import open_agent
 from jiti.runtime.rollout.plan import RolloutPlan
 from jiti.runtime.rollout.run import run_rollouts
 from jiti.runtime.sim.proprio import PROPRIO_NAMES
@@ -73,6 +74,18 @@ def test_other_processes_play_the_same_and_json_is_all_that_is_printed(made, tmp
     for label in plan.labels:
         name = f"{label}/elegant-T2_0003.mcap"
         np.testing.assert_array_equal(actions(tmp_path / "again" / name), actions(out / name))
+
+
+def test_none_beside_a_critic_makes_as_much_of_a_chunk_as_what_it_is_compared_with(made, tmp_path):
+    plan, _, _ = made
+    seen = {"observation.state": np.zeros(len(PROPRIO_NAMES)), "observation.environment_state": np.zeros(SCENE)}
+    long = replace(plan, critic=str(tiny_critic(tmp_path / "long", size=SIZE, chunk=9)))
+    makes = []
+    for guidances, critic in ((plan.guidances, long.critic), ((NONE,), long.critic), ((NONE,), None)):
+        sampler = open_agent(replace(long, guidances=guidances, critic=critic), seen).sampler
+        noise = np.zeros((1, *sampler.noise_shape), np.float32)
+        makes.append(sampler.observe(seen, TASK.instruction).sample(noise).shape[1])
+    assert makes == [9, 9, 4]
 
 
 def test_a_critic_of_other_sizes_is_refused_before_anything_is_played(made, tmp_path):
