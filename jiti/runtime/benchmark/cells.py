@@ -174,9 +174,9 @@ class Paired:
     interval: tuple[float, float]
     """95%, by a bootstrap over initial states within each task; policies of one state stay together."""
     p: float
-    """Of an exact McNemar test over all pairs, two-sided."""
+    """Of an exact sign-flip test over initial states, two-sided; policies of one state stay together."""
     p_each: Mapping[int, float]
-    """The same for each training seed: there no state is counted twice."""
+    """Of an exact McNemar test for each training seed alone."""
 
 
 def paired(first: Sequence[One], second: Sequence[One], outcome: str = "elegant") -> Paired | None:
@@ -205,9 +205,26 @@ def paired(first: Sequence[One], second: Sequence[One], outcome: str = "elegant"
         only_b,
         (only_b - only_a) / len(shared),
         (low, high),
-        mcnemar(only_a, only_b),
+        sign_flip([int(value) for value in sums]),
         {training: mcnemar(*split) for training, split in counts.items() if training is not None},
     )
+
+
+def sign_flip(sums: Sequence[int]) -> float:
+    """How often the total of these numbers is at least as far from 0 when fair coins give each its sign; 1 where all
+    are 0. Of 1, 0 and -1 it is McNemar's test.
+
+    The distribution is exact for any number of them: that of a sum of independent whole numbers, one after the other.
+    """
+    chances = np.ones(1)  # of totals from -reach to reach
+    for size in (abs(value) for value in sums if value):
+        wider = np.zeros(len(chances) + 2 * size)
+        wider[: len(chances)] += chances / 2
+        wider[2 * size :] += chances / 2
+        chances = wider
+    reach = len(chances) // 2
+    far = np.abs(np.arange(-reach, reach + 1)) >= abs(sum(sums))
+    return min(1.0, float(chances[far].sum()))
 
 
 def mcnemar(only_first: int, only_second: int) -> float:

@@ -96,7 +96,13 @@ def numbers(plan: BenchmarkPlan, results: Results) -> dict[str, Any]:
         comparisons.append(
             {"first": one.first, "second": one.second, "outcome": one.outcome}
             | (
-                {"pairs": found.pairs, "difference": found.difference, "interval": list(found.interval), "p": found.p}
+                {
+                    "pairs": found.pairs,
+                    "difference": found.difference,
+                    "interval": list(found.interval),
+                    "p": found.p,
+                    "p_each": {str(seed): p for seed, p in found.p_each.items()},
+                }
                 if found
                 else {"pairs": 0}
             )
@@ -234,8 +240,8 @@ def _comparisons(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTa
         )
     yield (
         "Of whole cells that both have, with the same policy and the same initial state. Difference in points with a "
-        "95% bootstrap over states within tasks; exact McNemar, two-sided, over all pairs, and for each training seed "
-        "alone, where no state is counted twice."
+        "95% bootstrap over states within tasks. p is of an exact sign-flip test, two-sided, in which the policies of "
+        "a state stay together: each state counts once. Beside it, exact McNemar for each training seed alone."
     )
     heading = ("", "of", "pairs", "difference", "only the first", "only the second", "p", "p of each seed")
     yield TextTable(heading, tuple(rows))

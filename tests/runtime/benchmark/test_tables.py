@@ -3,13 +3,14 @@
 import math
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
 from jiti.errors import SourceError
-from jiti.runtime.benchmark.cells import Cell, Results, effort, mcnemar, paired, rate, read_cells
+from jiti.runtime.benchmark.cells import Cell, Results, effort, mcnemar, paired, rate, read_cells, sign_flip
 from jiti.runtime.benchmark.page import to_html, to_markdown, write_report
 from jiti.runtime.benchmark.paper import paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Comparison, DataPlan, RolloutsPlan
@@ -95,7 +96,17 @@ def test_mcnemar_is_the_exact_binomial(first, second, p):
     assert mcnemar(first, second) == pytest.approx(p)
 
 
-def test_the_interval_keeps_the_policies_of_one_state_together(tmp_path):
+@pytest.mark.parametrize("sums", [[], [0, 0], [1], [3, -1, 2, 2, 0, -3, 1], [1] * 6 + [-1] * 3, [-2, -2, -1]])
+def test_the_sign_flip_test_is_all_signs_gone_through(sums):
+    signs = product((1, -1), repeat=len(sums))
+    totals = [sum(sign * value for sign, value in zip(one, sums, strict=True)) for one in signs]
+    p = sum(abs(total) >= abs(sum(sums)) for total in totals) / len(totals)
+    assert sign_flip(sums) == pytest.approx(p)
+    if {abs(value) for value in sums} <= {0, 1}:
+        assert sign_flip(sums) == pytest.approx(mcnemar(sums.count(-1), sums.count(1)))
+
+
+def test_interval_and_p_keep_the_policies_of_one_state_together(tmp_path):
     """Three policies that agree on every state tell no more than one of them."""
     column = replace(BASE, seeds=(0, 1, 2))
     states = [WON, LOST, WON, LOST, LOST, WON]
@@ -117,7 +128,7 @@ def test_the_interval_keeps_the_policies_of_one_state_together(tmp_path):
     assert three is not None
     assert one is not None
     assert three.interval == one.interval
-    assert three.p < one.p == three.p_each[0]
+    assert three.p == one.p == three.p_each[0]
 
 
 def test_a_cell_that_is_not_whole_is_missing_everywhere(tmp_path):
@@ -161,6 +172,8 @@ def test_the_tables_have_the_papers_figures_beside_ours(tmp_path):
     assert tests[0][2] == "8"
     assert tests[0][4:] == ("0", "4", "0.12", "0.12")
     assert tests[1][1] == "success"
+    (esr, _) = report.numbers["comparisons"]
+    assert (esr["p"], esr["p_each"]) == (0.125, {"0": 0.125})
 
 
 def test_the_papers_average_is_over_the_same_tasks():
