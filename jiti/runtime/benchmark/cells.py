@@ -13,7 +13,7 @@ from jiti.errors import SourceError
 from jiti.runtime.benchmark.plan import Column
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.rollout.result import ROLLOUTS
-from jiti.runtime.rollout.summary import Rate, bootstrap_interval
+from jiti.runtime.rollout.summary import bootstrap_interval, wilson
 
 _COLUMNS = ["label", "seed", "success", "elegant", "steps", "decisions", "interventions", "problems"]
 _TIMES = ["observe_s", "sample_s", "score_s", "wall_s"]
@@ -135,9 +135,38 @@ def _rollouts(table: pa.Table, cell: Cell, seeds: range) -> list[One]:
     return [found[seed] for seed in sorted(found)]
 
 
-def rate(rollouts: Sequence[One], outcome: str = "elegant") -> Rate:
-    """Share of rollouts; tasks have the same number of them, so that it is the average over tasks as well."""
-    return Rate(sum(getattr(one, outcome) for one in rollouts), len(rollouts))
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A share with its 95% interval."""
+
+    count: int
+    of: int
+    interval: tuple[float, float]
+
+    @property
+    def value(self) -> float:
+        return self.count / self.of
+
+
+def rate(rollouts: Sequence[One], outcome: str = "elegant") -> Estimate:
+    """Share of rollouts, of which there must be one; tasks have the same number of them, so that it is the average over
+    tasks as well.
+
+    The interval is Wilson's where one policy played. Where several did, it is of a bootstrap over initial states within
+    tasks, in which the policies of a state stay together; how policies differ is not in it. Where no state differs from
+    another, which leaves a bootstrap nothing to draw from, it is Wilson's with each state counted once.
+    """
+    by_state: dict[tuple[str, int], list[bool]] = {}
+    for one in rollouts:
+        by_state.setdefault((one.task, one.seed), []).append(bool(getattr(one, outcome)))
+    count, states = sum(map(sum, by_state.values())), len(by_state)
+    if states == len(rollouts):
+        return Estimate(count, states, wilson(count, states))
+    sums = np.array([sum(values) for values in by_state.values()], float)
+    if np.ptp(sums) == 0:
+        return Estimate(count, len(rollouts), wilson(round(count * states / len(rollouts)), states))
+    interval = bootstrap_interval(sums * states / len(rollouts), [task for task, _ in by_state])
+    return Estimate(count, len(rollouts), interval)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from jiti.runtime.rollout.summary import Rate
+from jiti.runtime.benchmark.cells import Estimate
 
 WIDTH = 940
 NAMES, ROW, GROUP_GAP, TOP, RIGHT = 250, 20, 12, 10, 200
@@ -31,7 +31,7 @@ class Bar:
 
     group: str
     name: str
-    rate: Rate | None
+    rate: Estimate | None
     """None where it is missing."""
     paper: float | None = None
     """Share."""
@@ -42,7 +42,7 @@ class Point:
     """A rate at a multiple of tau."""
 
     scale: float
-    rate: Rate | None
+    rate: Estimate | None
     paper: float | None
     interventions: float | None
     """Share of decisions."""

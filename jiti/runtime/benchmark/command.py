@@ -20,8 +20,7 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.remaining import duration
 from jiti.runtime.benchmark.stages import KINDS, REPORT
-from jiti.runtime.benchmark.tables import MISSING, make_report, numbers, shown_rate
-from jiti.runtime.rollout.summary import Rate
+from jiti.runtime.benchmark.tables import MISSING, in_percent, make_report, numbers
 from jiti.runtime.workers import alone
 from jiti.tasks.catalogue import Catalogue, load_catalogue
 
@@ -77,10 +76,7 @@ class Done:
 
 
 def _shown(average: dict[str, Any] | None, name: str) -> str:
-    if average is None:
-        return MISSING
-    count = average["rollouts"]
-    return shown_rate(Rate(round(average[name]["rate"] * count), count))
+    return MISSING if average is None else in_percent(average[name]["rate"], *average[name]["interval"])
 
 
 def resolved(request: Request) -> BenchmarkPlan:

@@ -4,11 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from jiti.runtime.benchmark.cells import Results, effort, paired, rate
+from jiti.runtime.benchmark.cells import Estimate, Results, effort, paired, rate
 from jiti.runtime.benchmark.charts import Bar, Point, bar_chart, sweep_chart
 from jiti.runtime.benchmark.paper import AVERAGE, FIGURES, INTERVENTIONS, RATE, STEP_MS, paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
-from jiti.runtime.rollout.summary import Rate
 
 MISSING = "missing"
 """In the place of a cell that was not played, or not to its end."""
@@ -70,12 +69,14 @@ def make_report(
     return Report(plan.title, tuple(_lead(plan, results)), tuple(sections), numbers(plan, results))
 
 
-def shown_rate(found: Rate | None) -> str:
-    """`62 (48–74)`, in percent with Wilson's 95% interval."""
-    if found is None:
-        return MISSING
-    low, high = found.interval
-    return f"{100 * found.value:.1f} ({100 * low:.0f}–{100 * high:.0f})"
+def shown_rate(found: Estimate | None) -> str:
+    """`62.0 (48–74)`, in percent with the 95% interval."""
+    return MISSING if found is None else in_percent(found.value, *found.interval)
+
+
+def in_percent(value: float, low: float, high: float) -> str:
+    """A share and its interval, for people."""
+    return f"{100 * value:.1f} ({100 * low:.0f}–{100 * high:.0f})"
 
 
 def numbers(plan: BenchmarkPlan, results: Results) -> dict[str, Any]:
@@ -132,10 +133,12 @@ def _lead(plan: BenchmarkPlan, results: Results) -> Iterator[str]:
     whole = len(results.wanted) - len(results.missing())
     yield (
         f"{results.episodes} rollouts a cell, a cell being a column on a task with one trained policy; {whole} of "
-        f"{len(results.wanted)} cells are whole. Rates are in percent, with 95% intervals by Wilson in parentheses; "
-        "those of several training seeds are over all their rollouts. Elegant is success with every implicit task "
-        "constraint satisfied; ESR is its rate. The paper's figures are of SmolVLA with pictures on demonstrations by "
-        "people, ours of the plan's own policy on scripted ones: compare the differences, not the levels."
+        f"{len(results.wanted)} cells are whole. Rates are in percent, with 95% intervals in parentheses: by "
+        "Wilson for one training seed; for several by a bootstrap over initial states within tasks, in which the "
+        "policies of a state stay together. How much policies differ is in none of them. Elegant is success with every "
+        "implicit task constraint satisfied; ESR is its rate. The paper's figures are of SmolVLA with pictures on "
+        "demonstrations by people, ours of the plan's own policy on scripted ones: compare the differences, not the "
+        "levels."
     )
     if gone := results.missing():
         names = [f"{column} on {task} (seed {seed})" for column, task, seed in gone[:6]]
@@ -279,7 +282,7 @@ def _sweep(plan: BenchmarkPlan, results: Results) -> tuple[str | Chart, ...] | N
     )
 
 
-def _rate(results: Results, column: Column, tasks: Sequence[str], outcome: str) -> Rate | None:
+def _rate(results: Results, column: Column, tasks: Sequence[str], outcome: str) -> Estimate | None:
     own = results.of(column, tasks)
     return rate(own, outcome) if own else None
 

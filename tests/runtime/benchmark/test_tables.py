@@ -6,16 +6,18 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from jiti.errors import SourceError
-from jiti.runtime.benchmark.cells import Cell, Results, effort, mcnemar, paired, rate, read_cells, sign_flip
+from jiti.runtime.benchmark.cells import Cell, One, Results, effort, mcnemar, paired, rate, read_cells, sign_flip
 from jiti.runtime.benchmark.page import to_html, to_markdown, write_report
 from jiti.runtime.benchmark.paper import paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Comparison, DataPlan, RolloutsPlan
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, make_report, numbers
+from jiti.runtime.rollout.summary import bootstrap_interval
 from tests.builders.benchmark import write_rollouts
 
 T0, T2 = "elegant/T0", "elegant/T2"
@@ -33,6 +35,7 @@ PLAN = BenchmarkPlan(
     groups={"rest": (T2,)},
 )
 WON, CLUMSY, LOST = (True, True), (True, False), (False, False)
+HALF = [WON, LOST, WON, LOST, LOST, WON]
 PLAYED = {
     ("base", T0, 0): [WON, CLUMSY, CLUMSY, LOST],
     ("base", T2, 0): [CLUMSY, CLUMSY, LOST, LOST],
@@ -108,27 +111,34 @@ def test_the_sign_flip_test_is_all_signs_gone_through(sums):
 
 def test_interval_and_p_keep_the_policies_of_one_state_together(tmp_path):
     """Three policies that agree on every state tell no more than one of them."""
-    column = replace(BASE, seeds=(0, 1, 2))
-    states = [WON, LOST, WON, LOST, LOST, WON]
-
-    def side(folder: str, outcomes) -> list:
-        cells, folders = [], {}
-        for seed in column.seeds:
-            stage = Stage("rollouts", f"{folder}-{seed}", {"cell": [folder, seed]})
-            write_rollouts(tmp_path / stage.folder, T0, {"none": {100 + k: (*o, 0) for k, o in enumerate(outcomes)}})
-            cells.append(Cell(column, T0, seed, stage, "none"))
-            folders[stage.key] = tmp_path / stage.folder
-        found = read_cells(cells, folders, first=100, episodes=6).of(column, (T0,))
-        assert found is not None
-        return found
-
-    first, second = side("a", [LOST] * 6), side("b", states)
+    first, second = ([one for seed in range(3) for one in played(states, seed)] for states in ([LOST] * 6, HALF))
     three = paired(first, second)
     one = paired([r for r in first if r.training == 0], [r for r in second if r.training == 0])
     assert three is not None
     assert one is not None
     assert three.interval == one.interval
     assert three.p == one.p == three.p_each[0]
+
+
+def played(states, training: int = 0, task: str = T0) -> list[One]:
+    return [One(task, training, k, *outcome, 100, 10, 0, 0, 0.1, 1.0) for k, outcome in enumerate(states)]
+
+
+def test_policies_that_agree_make_no_rate_more_certain():
+    assert rate(played(HALF)).interval == pytest.approx(_wilson(3, 6))
+    one = np.array([elegant for _, elegant in HALF], float)
+    pooled = [rate([rollout for training in range(count) for rollout in played(HALF, training)]) for count in (2, 3)]
+    assert [found.of for found in pooled] == [12, 18]
+    for found in pooled:
+        assert found.interval == pytest.approx(bootstrap_interval(one, [T0] * 6))
+        assert found.interval[0] < _wilson(9, 18)[0]
+
+
+@pytest.mark.parametrize("outcomes", [(LOST, LOST), (WON, WON), (WON, LOST)])
+def test_where_no_state_differs_each_counts_once(outcomes):
+    found = rate([one for training in range(2) for one in played([outcomes[training]] * 6, training)])
+    assert (found.count, found.of) == (6 * outcomes.count(WON), 12)
+    assert found.interval == pytest.approx(_wilson(3 * outcomes.count(WON), 6))
 
 
 def test_a_cell_that_is_not_whole_is_missing_everywhere(tmp_path):
@@ -156,9 +166,12 @@ def test_more_rollouts_than_asked_for_are_not_counted(tmp_path):
 
 def test_the_tables_have_the_papers_figures_beside_ours(tmp_path):
     report = make_report(PLAN, results(tmp_path), [("plan", "two")], ())
-    low, high = (100 * x for x in _wilson(3, 16))
+    # Of Base's two policies: on T2 no state differs from another.
+    states = np.array([[1, 0.5, 0, 0], [0, 0, 0, 0]])
+    low, high = (100 * x for x in bootstrap_interval(states.ravel(), [T0] * 4 + [T2] * 4))
+    one_low, one_high = (100 * x for x in bootstrap_interval(states[0], [T0] * 4))
     assert _table(report, "Elegant success rate").rows == (
-        ("Base", "37.5 (14–69)", "0.0 (0–32)", f"18.8 ({low:.0f}–{high:.0f})"),
+        ("Base", f"37.5 ({one_low:.0f}–{one_high:.0f})", "0.0 (0–49)", f"18.8 ({low:.0f}–{high:.0f})"),
         ("Base, paper", "70", "34", "52"),
         ("JITI", "75.0 (30–95)", "50.0 (15–85)", "62.5 (31–86)"),
         ("JITI, paper", "86", "42", "64"),
