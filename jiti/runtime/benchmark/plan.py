@@ -123,6 +123,8 @@ class RolloutsPlan:
     most_steps: int = MOST_STEPS
     device: str = "cpu"
     """Of policy and critic."""
+    timing: bool = False
+    """Whether times are what is asked: rollouts are then played for that alone, and never those of another plan."""
 
     def __post_init__(self) -> None:
         for name in ("episodes", "tuning_episodes", "candidates", "window", "most_steps"):

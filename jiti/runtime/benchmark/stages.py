@@ -141,6 +141,8 @@ class Stages:
         """Where the rollouts of a cell lie, with those of other picks that have all else in common."""
         plan = self.plan.rollouts
         inputs: dict[str, Any] = {**self._scene(task), "seed": self.plan.seed, "most_steps": plan.most_steps}
+        if plan.timing:  # only then, so that all others keep their keys
+            inputs["timing"] = True
         needs = (self.policy(column.data, seed),)
         name = f"{column.data}-{seed}"
         method = "together" if self.together else column.method
