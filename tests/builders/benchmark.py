@@ -79,7 +79,7 @@ class Pretended:
 
     def _tau(self, stage: Stage) -> Calibration:
         self.done.append(f"tau {stage.name}")
-        return Calibration(0.5, 0.3, 0.3, 5, "", "", (), "jitter", "primitive", (), 600, (0, 1), 1, 10)
+        return Calibration(0.5, 0.3, 0.281, 5, "", "", (), "jitter", "primitive", (), 600, (0, 1), 1, 10)
 
     def _play(self, games: Sequence[Game], _workers: int, _progress) -> None:
         for game in games:

@@ -80,13 +80,14 @@ def _taus(chain: Chain, stages: Sequence[Stage]) -> TextTable:
     for stage in stages:
         mark = chain.work.done(stage)
         if mark is None:
-            rows.append((stage.name, *[MISSING] * 4))
+            rows.append((stage.name, *[MISSING] * 5))
             continue
         made = mark.made
-        rows.append(
-            (stage.name, f"{made['tau']:.4g}", f"{made['rate']:.1%}", str(made["decisions"]), str(made["episodes"]))
-        )
-    return TextTable(("policy and critic", "tau", "share that exceeds it", "decisions", "episodes"), tuple(rows))
+        measured = f"{made['measured']:.1%}" if "measured" in made else NOTHING  # marks of an older jiti have none
+        shares = (f"{made['rate']:.1%}", measured)
+        rows.append((stage.name, f"{made['tau']:.4g}", *shares, str(made["decisions"]), str(made["episodes"])))
+    heading = ("policy and critic", "tau", "share asked for", "share that exceeds it", "decisions", "episodes")
+    return TextTable(heading, tuple(rows))
 
 
 def made_rows(chain: Chain, results: Results) -> list[tuple[str, str]]:

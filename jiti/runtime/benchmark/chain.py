@@ -220,10 +220,17 @@ class Chain:
         each = (monotonic() - began) / len(stages)
         for stage in stages:
             found = self.table.find_tau(stage)
-            made = {"tau": found.tau, "rate": found.rate, "decisions": found.decisions, "episodes": found.episodes}
+            made = {
+                "tau": found.tau,
+                "rate": found.rate,
+                "measured": found.measured,
+                "decisions": found.decisions,
+                "episodes": found.episodes,
+            }
             self.work.finish(stage, each, made)
             self.say(
-                f"tau of {stage.name} is {found.tau:.4g}: {found.rate:.1%} of {found.decisions} decisions exceed it"
+                f"tau of {stage.name} is {found.tau:.4g}: {found.measured:.1%} of {found.decisions} decisions exceed "
+                f"it, {found.rate:.1%} were asked for"
             )
 
 

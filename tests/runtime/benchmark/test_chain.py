@@ -9,6 +9,8 @@ from jiti.errors import UsageError
 from jiti.runtime.benchmark import about
 from jiti.runtime.benchmark.command import report, run_chain
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, CriticPlan, DataPlan, PolicyPlan, RolloutsPlan
+from jiti.runtime.benchmark.plan_file import read_plan
+from jiti.runtime.benchmark.stages import in_order
 from tests.builders.benchmark import Pretended, chain_of
 
 PLAN = BenchmarkPlan(
@@ -69,6 +71,7 @@ def test_everything_is_done_once(pretended, tmp_path):
         (replace(PLAN, data=replace(PLAN.data, quality=0.4)), ["record", "autolabel", "curate", "critics", "tau"]),
         (replace(PLAN, rollouts=replace(PLAN.rollouts, episodes=4)), ["play"]),
         (replace(PLAN, tuning=True), ["play"]),
+        (replace(PLAN, rollouts=replace(PLAN.rollouts, timing=True)), ["play"]),
         (replace(PLAN, columns=(Column("x2", method="jiti", tau_scale=2.0),)), ["play"]),
         (
             replace(PLAN, columns=(Column("sparse", method="jiti", rewards="sparse"),)),
@@ -93,6 +96,17 @@ def test_a_changed_input_redoes_what_depends_on_it_and_nothing_else(pretended, t
         assert "play elegant/T0 none" not in done
     chain_of(PLAN, tmp_path).run()
     assert pretended.take() == [], "what was there before is still there"
+
+
+def test_times_are_of_rollouts_that_were_played_for_them(tmp_path):
+    eight, timed = (read_plan(name) for name in ("table8", "g6"))
+    assert timed.rollouts.timing
+    before, after = (
+        {(stage.kind, stage.key) for stage in in_order(cell.stage for cell in chain_of(plan, tmp_path).cells())}
+        for plan in (eight, timed)
+    )
+    assert {kind for kind, _ in after - before} == {"rollouts"}
+    assert {kind for kind, _ in after & before} == {"record", "autolabel", "curate", "policies", "critics", "tau"}
 
 
 def test_what_people_decide_makes_another_dataset(pretended, tmp_path):
@@ -154,7 +168,8 @@ def test_progress_only_grows_and_tells_the_time_that_is_left(pretended, tmp_path
 
 
 def test_the_report_says_what_ran_and_what_is_missing(pretended, tmp_path):
-    chain = replace(chain_of(PLAN, tmp_path), tasks=("elegant/T0",))
+    told: list[str] = []
+    chain = replace(chain_of(PLAN, tmp_path), tasks=("elegant/T0",), say=told.append)
     run_chain(chain, (), lambda _share, _what: None)
     done = report(chain, tmp_path / "report")
     assert {(one["column"], one["task"]) for one in done.content["missing"]} == {
@@ -164,5 +179,7 @@ def test_the_report_says_what_ran_and_what_is_missing(pretended, tmp_path):
     assert "Missing: base on elegant/T2 (seed 0)" in text
     assert about.plan_digest(PLAN) in text
     assert "1 finished" in text
+    assert "tau of all-0-segments is 0.5: 28.1% of 10 decisions exceed it, 30.0% were asked for" in told
+    assert "| all-0-segments | 0.5 | 30.0% | 28.1% | 10 | 1 |" in text
     assert "missing" in str(done)
     assert str(tmp_path) not in text
