@@ -5,7 +5,6 @@ from (seed, step). So a run that was stopped goes on exactly as if it had not be
 share a batch do what one would.
 """
 
-import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from jiti.critic.stop import asked_to_stop
 from jiti.critic.team import Team
 from jiti.errors import SourceError
 from jiti.progress import Progress
+from jiti.revision import git_revision
 
 __all__ = ["Trained", "init_state", "load", "open_data", "save", "train", "train_step"]
 
@@ -258,12 +258,3 @@ def _about(data: ElegantData, cache: FeatureCache, settings: Settings) -> dict[s
         "jiti": jiti.__version__,
         "git": git_revision(),
     }
-
-
-def git_revision() -> str | None:
-    """The revision of the checkout that this code runs from, if it does."""
-    root = Path(jiti.__file__).parents[1]
-    if not (root / ".git").exists():
-        return None
-    asked = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
-    return asked.stdout.strip() or None

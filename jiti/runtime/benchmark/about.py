@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,12 +13,14 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan
 from jiti.runtime.benchmark.remaining import duration
 from jiti.runtime.benchmark.stages import KINDS, Stage, in_order
 from jiti.runtime.benchmark.tables import MISSING, NOTHING, Section, TextTable
+from jiti.runtime.rollout.plan_file import hardware
 from jiti.runtime.sim.libero import pack_name
 
 
 def plan_digest(plan: BenchmarkPlan) -> str:
-    """Hex digest of all that a plan fixes, whatever it is called."""
-    content = {key: value for key, value in asdict(plan).items() if key not in ("name", "title", "note")}
+    """Hex digest of all that a plan fixes, whatever it is called, and whichever of its seeds are played."""
+    beside = ("name", "title", "note", "tuning", "quick")
+    content = {key: value for key, value in asdict(plan).items() if key not in beside}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -92,13 +94,12 @@ def _taus(chain: Chain, stages: Sequence[Stage]) -> TextTable:
 
 def made_rows(chain: Chain, results: Results) -> list[tuple[str, str]]:
     """How it was made, as names and values."""
-    from jiti.critic.train import git_revision
-    from jiti.runtime.rollout.plan_file import hardware, versions
-
     plan = chain.plan
     machine = hardware()
     runs = chain.work.runs()
-    own = [run for run in runs if run.get("plan") == plan.name]
+    alike = [run for run in runs if _kind(run) == (plan.name, plan.tuning, plan.quick)]
+    own = [run for run in alike if run.get("digest") == plan_digest(plan)]
+    revisions, packages = _code(chain, runs)
     data, tau = plan.data, plan.tau
     rows = [
         ("plan", f"{plan.name}, digest {plan_digest(plan)}"),
@@ -115,18 +116,40 @@ def made_rows(chain: Chain, results: Results) -> list[tuple[str, str]]:
         ),
         ("tuning", f"seeds {_seeds(plan.rollouts.tuning_seed, plan.rollouts.tuning_episodes)} of each task"),
         ("machine", f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"),
-        ("versions", ", ".join(f"{name} {version}" for name, version in versions().items())),
-        ("revision", git_revision() or "none: not a checkout"),
+        ("versions that made it", packages),
+        ("revisions that made it", revisions),
         ("wall time", _wall(own)),
         ("time of a core", _core_time(chain, results)),
     ]
     others = {json.dumps(run["machine"], sort_keys=True) for run in own if run.get("machine") not in (None, machine)}
     if others:
         rows.append(("other machines that worked on it", "; ".join(sorted(others))))
-    changed = {run["digest"] for run in own if "digest" in run} - {plan_digest(plan)}
+    changed = {run["digest"] for run in alike if "digest" in run} - {plan_digest(plan)}
     if changed:
         rows.append(("other digests of this plan that ran here", ", ".join(sorted(changed))))
     return rows
+
+
+def _kind(run: Mapping[str, Any]) -> tuple[Any, ...]:
+    return run.get("plan"), run.get("tuning", False), run.get("quick", False)
+
+
+def _code(chain: Chain, runs: Iterable[Mapping[str, Any]]) -> tuple[str, str]:
+    """Every revision, and every version of each package, that made what the report is of: as stages say that are
+    finished, and of rollouts the runs that played them, whatever plan they were of."""
+    stages = in_order(cell.stage for cell in chain.cells())
+    marks = [mark for stage in stages if stage.kind != "rollouts" and (mark := chain.work.done(stage))]
+    keys = {stage.key for stage in stages if stage.kind == "rollouts"}
+    played = [run for run in runs if keys & set(run.get("played", ()))]
+    told = [(mark.revision, mark.versions) for mark in marks]
+    told += [(run.get("revision"), run.get("versions", {})) for run in played]
+    revisions = dict.fromkeys(revision or "none: not a checkout" for revision, packages in told if packages)
+    versions: dict[str, dict[str, None]] = {}
+    for _, packages in told:
+        for name, version in packages.items():
+            versions.setdefault(name, {})[version] = None
+    shown = ", ".join(f"{name} {' and '.join(found)}" for name, found in versions.items())
+    return ", ".join(revisions) or MISSING, shown or MISSING
 
 
 def _seeds(first: int, count: int) -> str:

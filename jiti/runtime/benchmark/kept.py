@@ -2,14 +2,17 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jiti.durable import make_folder, write_atomic
 from jiti.errors import SourceError
+from jiti.revision import git_revision
 from jiti.runtime.benchmark.stages import Stage
+from jiti.runtime.rollout.plan_file import versions
 
 FOLDERS = {
     "record": "recordings",
@@ -36,6 +39,10 @@ class Mark:
     """Figures for the report."""
     finished: str
     """UTC."""
+    revision: str | None = None
+    """Of the code that made it; None outside a checkout."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """Of the packages; empty in marks of an older jiti."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +84,15 @@ class Work:
             round(wall_s, 3),
             made,
             _now(),
+            *code(),
         )
         write_atomic(self._mark(stage), json.dumps(asdict(mark), indent=1).encode())
 
     def remember_run(self, about: Mapping[str, Any]) -> None:
-        """Add a run to those of the folder. Raises SaveFailed."""
+        """Add a run to those of the folder, with its code. Raises SaveFailed."""
         make_folder(self.out)
-        runs = [*self.runs(), {"finished": _now(), **about}]
+        revision, packages = code()
+        runs = [*self.runs(), {"finished": _now(), "revision": revision, "versions": packages, **about}]
         write_atomic(self.out / "runs.json", json.dumps(runs, indent=1).encode())
 
     def runs(self) -> list[dict[str, Any]]:
@@ -96,6 +105,12 @@ class Work:
 
     def _mark(self, stage: Stage) -> Path:
         return self.out / "stages" / f"{stage.kind}-{stage.folder}.json"
+
+
+@cache
+def code() -> tuple[str | None, dict[str, str]]:
+    """Revision and versions of packages of what runs here, as they were when this process first asked."""
+    return git_revision(), versions()
 
 
 def _now() -> str:

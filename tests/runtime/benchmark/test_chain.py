@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from jiti.errors import UsageError
-from jiti.runtime.benchmark import about
+from jiti.runtime.benchmark import about, kept
 from jiti.runtime.benchmark.command import report, run_chain
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, CriticPlan, DataPlan, PolicyPlan, RolloutsPlan
 from jiti.runtime.benchmark.plan_file import read_plan
@@ -183,3 +183,43 @@ def test_the_report_says_what_ran_and_what_is_missing(pretended, tmp_path):
     assert "| all-0-segments | 0.5 | 30.0% | 28.1% | 10 | 1 |" in text
     assert "missing" in str(done)
     assert str(tmp_path) not in text
+
+
+def test_the_report_says_what_code_made_what_it_is_of(pretended, tmp_path, monkeypatch):
+    def run(plan: BenchmarkPlan, revision: str, torch: str) -> dict[str, str]:
+        monkeypatch.setattr(kept, "code", lambda: (revision, {"python": "3.12", "torch": torch}))
+        chain = chain_of(plan, tmp_path)
+        run_chain(chain, (), lambda _share, _what: None)
+        return dict(about.made_rows(chain, chain.results()))
+
+    def made(rows: dict[str, str]) -> tuple[str, str]:
+        return rows["revisions that made it"], rows["versions that made it"]
+
+    assert made(run(PLAN, "one", "2.7")) == ("one", "python 3.12, torch 2.7")
+    assert made(run(PLAN, "two", "2.8")) == ("one", "python 3.12, torch 2.7"), "it made nothing"
+    more = replace(PLAN, name="more", rollouts=replace(PLAN.rollouts, episodes=4))
+    assert made(run(more, "three", "2.8")) == ("one, three", "python 3.12, torch 2.7 and 2.8")
+    assert made(run(PLAN, "four", "2.8"))[0] == "one, three", "they share the folders of rollouts"
+    timed = replace(PLAN, name="timed", rollouts=replace(PLAN.rollouts, timing=True))
+    assert made(run(timed, "five", "2.8"))[0] == "one, five", "it shares what was trained"
+
+
+def test_time_and_digests_are_of_the_runs_that_are_reported(pretended, tmp_path):
+    tuned, longer = replace(PLAN, tuning=True), replace(PLAN, policy=PolicyPlan(steps=11))
+    for plan in (tuned, PLAN, longer, replace(PLAN, quick=True)):
+        run_chain(chain_of(plan, tmp_path), (), lambda _share, _what: None)
+    assert about.plan_digest(tuned) == about.plan_digest(PLAN) != about.plan_digest(longer)
+    chain = chain_of(PLAN, tmp_path)
+    rows = dict(about.made_rows(chain, chain.results()))
+    assert rows["wall time"].endswith("in 1 run (1 finished)")
+    assert rows["other digests of this plan that ran here"] == about.plan_digest(longer)
+    tuning = chain_of(tuned, tmp_path)
+    rows = dict(about.made_rows(tuning, tuning.results()))
+    assert rows["wall time"].endswith("in 1 run (1 finished)")
+    assert "other digests of this plan that ran here" not in rows
+    assert [(run["tuning"], run["quick"]) for run in chain.work.runs()] == [
+        (True, False),
+        (False, False),
+        (False, False),
+        (False, True),
+    ]
