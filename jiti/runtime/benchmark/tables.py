@@ -1,7 +1,7 @@
 """The paper's tables with our columns: a report as blocks of text, tables and charts, which `page` writes."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from jiti.runtime.benchmark.cells import Estimate, Results, effort, paired, rate
@@ -88,6 +88,7 @@ def numbers(plan: BenchmarkPlan, results: Results) -> dict[str, Any]:
             "tasks": {task: _numbers(results.of(column, (task,))) for task in plan.tasks},
             "average": _numbers(everything),
             "groups": {group: _numbers(results.of(column, tasks)) for group, tasks in plan.groups.items()},
+            "alike": _alike(plan, results, column),
             "paper": dict(FIGURES.get(column.paper, {})),
             "paper_average": paper_average(column.paper, plan.tasks),
         }
@@ -110,6 +111,17 @@ def numbers(plan: BenchmarkPlan, results: Results) -> dict[str, Any]:
         )
     missing = [{"column": column, "task": task, "training_seed": seed} for column, task, seed in results.missing()]
     return {"columns": columns, "comparisons": comparisons, "missing": missing}
+
+
+def _alike(plan: BenchmarkPlan, results: Results, column: Column) -> dict[str, Any] | None:
+    """On the training seeds that all columns have, where a column has more."""
+    if (part := alike(plan, column)) is None:
+        return None
+    return {
+        "training_seeds": list(part.seeds),
+        "tasks": {task: _numbers(results.of(part, (task,))) for task in plan.tasks},
+        "average": _numbers(results.of(part, plan.tasks)),
+    }
 
 
 def _numbers(rollouts: Any) -> dict[str, Any] | None:
@@ -140,6 +152,11 @@ def _lead(plan: BenchmarkPlan, results: Results) -> Iterator[str]:
         "demonstrations by people, ours of the plan's own policy on scripted ones: compare the differences, not the "
         "levels."
     )
+    if any(alike(plan, column) for column in plan.columns):
+        yield (
+            "Columns have different numbers of training seeds: compare one that has several with one that has fewer by "
+            "its row of the seeds that all of them have. Paired tests take the seeds that both have."
+        )
     if gone := results.missing():
         names = [f"{column} on {task} (seed {seed})" for column, task, seed in gone[:6]]
         more = f" and {len(gone) - 6} more" if len(gone) > 6 else ""
@@ -156,9 +173,27 @@ def _by_task(plan: BenchmarkPlan, results: Results) -> Iterator[TextTable | Char
     yield Chart("esr-by-task", bar_chart(bars))
 
 
+def alike(plan: BenchmarkPlan, column: Column) -> Column | None:
+    """A column on the training seeds that all columns have, to be compared with columns that have no more; None where
+    it has no others, or all have none in common."""
+    seeds = tuple(seed for seed in column.seeds if all(seed in other.seeds for other in plan.columns))
+    if not seeds or seeds == column.seeds:
+        return None
+    named = f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))} only"
+    return replace(column, title=f"{column.shown}, {named}", seeds=seeds, paper="")
+
+
+def _rows(plan: BenchmarkPlan) -> Iterator[Column]:
+    """Every column, and after one of more training seeds than others have, the same on theirs."""
+    for column in plan.columns:
+        yield column
+        if (part := alike(plan, column)) is not None:
+            yield part
+
+
 def _rates(plan: BenchmarkPlan, results: Results, outcome: str, *, paper: bool = False) -> TextTable:
     rows = []
-    for column in plan.columns:
+    for column in _rows(plan):
         cells = [shown_rate(_rate(results, column, (task,), outcome)) for task in plan.tasks]
         rows.append((column.shown, *cells, shown_rate(_rate(results, column, plan.tasks, outcome))))
         if paper and column.paper:
@@ -170,11 +205,12 @@ def _rates(plan: BenchmarkPlan, results: Results, outcome: str, *, paper: bool =
 def _averages(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTable | Chart]:
     rows = []
     bars = []
-    for column in plan.columns:
+    for column in _rows(plan):
         own = results.of(column, plan.tasks)
         cost = effort(own) if own else None
         paper = paper_average(column.paper, plan.tasks)
-        bars.append(Bar("", column.shown, rate(own) if own else None, None if paper is None else paper / 100))
+        if column in plan.columns:
+            bars.append(Bar("", column.shown, rate(own) if own else None, None if paper is None else paper / 100))
         guided = column.method != "none"
         rows.append(
             (
@@ -211,7 +247,7 @@ def _averages(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTable
 def _groups(plan: BenchmarkPlan, results: Results) -> Iterator[TextTable]:
     rows = []
     for group, tasks in plan.groups.items():
-        for column in plan.columns:
+        for column in _rows(plan):
             cells = (shown_rate(_rate(results, column, tasks, outcome)) for outcome in ("elegant", "success"))
             rows.append((f"{group}: {column.shown}", *cells, str(len(tasks))))
     yield TextTable(("", "ESR", "success", "tasks"), tuple(rows))

@@ -15,8 +15,9 @@ from jiti.runtime.benchmark.cells import Cell, One, Results, effort, mcnemar, pa
 from jiti.runtime.benchmark.page import to_html, to_markdown, write_report
 from jiti.runtime.benchmark.paper import paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Comparison, DataPlan, RolloutsPlan
+from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.stages import Stage
-from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, make_report, numbers
+from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, alike, make_report, numbers
 from jiti.runtime.rollout.summary import bootstrap_interval
 from tests.builders.benchmark import write_rollouts
 
@@ -173,13 +174,21 @@ def test_the_tables_have_the_papers_figures_beside_ours(tmp_path):
     assert _table(report, "Elegant success rate").rows == (
         ("Base", f"37.5 ({one_low:.0f}–{one_high:.0f})", "0.0 (0–49)", f"18.8 ({low:.0f}–{high:.0f})"),
         ("Base, paper", "70", "34", "52"),
+        ("Base, seed 0 only", "25.0 (5–70)", "0.0 (0–49)", "12.5 (2–47)"),
         ("JITI", "75.0 (30–95)", "50.0 (15–85)", "62.5 (31–86)"),
         ("JITI, paper", "86", "42", "64"),
     )
     averages = {row[0]: row[1:] for row in _table(report, "Averages").rows}
     assert averages["JITI"][1:7] == ("64", "87.5 (53–98)", "3.00", "6.26", "30.0%", "33.9%")
     assert averages["Base"][3:6] == ("–", "0", "–")
-    assert _table(report, "Groups of tasks").rows[1] == ("rest: JITI", "50.0 (15–85)", "75.0 (30–95)", "1")
+    assert averages["Base, seed 0 only"][:2] == ("12.5 (2–47)", "–")
+    assert averages["Base, seed 0 only"][-2:] == ("8", "0")
+    assert not any(name.startswith("JITI,") for name in averages)
+    told = report.numbers["columns"]
+    assert told["jiti"]["alike"] is None
+    assert told["base"]["alike"]["training_seeds"] == [0]
+    assert told["base"]["alike"]["average"]["elegant"]["rate"] == 1 / 8
+    assert _table(report, "Groups of tasks").rows[2] == ("rest: JITI", "50.0 (15–85)", "75.0 (30–95)", "1")
     tests = _table(report, "Paired tests").rows
     assert tests[0][:2] == ("Base → JITI", "ESR")
     assert tests[0][2] == "8"
@@ -187,6 +196,21 @@ def test_the_tables_have_the_papers_figures_beside_ours(tmp_path):
     assert tests[1][1] == "success"
     (esr, _) = report.numbers["comparisons"]
     assert (esr["p"], esr["p_each"]) == (0.125, {"0": 0.125})
+
+
+def test_a_column_is_set_beside_others_on_the_seeds_of_all():
+    plan = read_plan("table8")
+    parts = {column.name: part.seeds for column in plan.columns if (part := alike(plan, column))}
+    assert parts == {"base": (0,), "jiti": (0,), "random": (0,)}
+    apart = replace(PLAN, columns=(BASE, replace(JITI, seeds=(2,))))
+    assert [alike(apart, column) for column in apart.columns] == [None, None]
+
+
+@pytest.mark.parametrize("name", ["table8", "libero"])
+def test_every_column_of_a_large_plan_is_compared(name):
+    plan = read_plan(name)
+    compared = {one for pair in plan.comparisons for one in (pair.first, pair.second)}
+    assert compared == {column.name for column in plan.columns}
 
 
 def test_the_papers_average_is_over_the_same_tasks():
