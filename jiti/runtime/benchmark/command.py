@@ -14,13 +14,14 @@ from jiti.nearest import nearest
 from jiti.progress import Progress
 from jiti.runtime.benchmark.about import made_rows, plan_digest, stage_sections
 from jiti.runtime.benchmark.chain import Chain, Say, usual_workers
+from jiti.runtime.benchmark.figures import numbers
 from jiti.runtime.benchmark.kept import Work, code
 from jiti.runtime.benchmark.page import write_report
 from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.remaining import duration
 from jiti.runtime.benchmark.stages import KINDS, REPORT
-from jiti.runtime.benchmark.tables import MISSING, in_percent, make_report, numbers
+from jiti.runtime.benchmark.tables import MISSING, in_percent, make_report
 from jiti.runtime.workers import alone
 from jiti.tasks.catalogue import Catalogue, load_catalogue
 

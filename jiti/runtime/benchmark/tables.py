@@ -1,11 +1,12 @@
 """The paper's tables with our columns: a report as blocks of text, tables and charts, which `page` writes."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-from jiti.runtime.benchmark.cells import Estimate, Results, effort, paired, rate
+from jiti.runtime.benchmark.cells import Estimate, Results, effort, rate
 from jiti.runtime.benchmark.charts import Bar, Point, bar_chart, sweep_chart
+from jiti.runtime.benchmark.figures import alike, compared, numbers
 from jiti.runtime.benchmark.paper import AVERAGE, FIGURES, INTERVENTIONS, RATE, STEP_MS, paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 
@@ -79,62 +80,6 @@ def in_percent(value: float, low: float, high: float) -> str:
     return f"{100 * value:.1f} ({100 * low:.0f}–{100 * high:.0f})"
 
 
-def numbers(plan: BenchmarkPlan, results: Results) -> dict[str, Any]:
-    """What the tables say, for scripts: null for what is missing."""
-    columns: dict[str, Any] = {}
-    for column in plan.columns:
-        everything = results.of(column, plan.tasks)
-        columns[column.name] = {
-            "tasks": {task: _numbers(results.of(column, (task,))) for task in plan.tasks},
-            "average": _numbers(everything),
-            "groups": {group: _numbers(results.of(column, tasks)) for group, tasks in plan.groups.items()},
-            "alike": _alike(plan, results, column),
-            "paper": dict(FIGURES.get(column.paper, {})),
-            "paper_average": paper_average(column.paper, plan.tasks),
-        }
-    comparisons = []
-    for one in plan.comparisons:
-        found = _compared(plan, results, one.first, one.second, one.outcome)
-        comparisons.append(
-            {"first": one.first, "second": one.second, "outcome": one.outcome}
-            | (
-                {
-                    "pairs": found.pairs,
-                    "difference": found.difference,
-                    "interval": list(found.interval),
-                    "p": found.p,
-                    "p_each": {str(seed): p for seed, p in found.p_each.items()},
-                }
-                if found
-                else {"pairs": 0}
-            )
-        )
-    missing = [{"column": column, "task": task, "training_seed": seed} for column, task, seed in results.missing()]
-    return {"columns": columns, "comparisons": comparisons, "missing": missing}
-
-
-def _alike(plan: BenchmarkPlan, results: Results, column: Column) -> dict[str, Any] | None:
-    """On the training seeds that all columns have, where a column has more."""
-    if (part := alike(plan, column)) is None:
-        return None
-    return {
-        "training_seeds": list(part.seeds),
-        "tasks": {task: _numbers(results.of(part, (task,))) for task in plan.tasks},
-        "average": _numbers(results.of(part, plan.tasks)),
-    }
-
-
-def _numbers(rollouts: Any) -> dict[str, Any] | None:
-    if rollouts is None:
-        return None
-    told: dict[str, Any] = {"rollouts": len(rollouts)}
-    for name in ("elegant", "success"):
-        found = rate(rollouts, name)
-        told[name] = {"rate": found.value, "interval": list(found.interval)}
-    cost = effort(rollouts)
-    return told | {"interventions": cost.interventions, "intervention_rate": cost.share, "step_ms": cost.step_ms}
-
-
 def _lead(plan: BenchmarkPlan, results: Results) -> Iterator[str]:
     if plan.quick:
         yield "Made small with --quick: it proves nothing but that it runs."
@@ -171,16 +116,6 @@ def _by_task(plan: BenchmarkPlan, results: Results) -> Iterator[TextTable | Char
             own = results.of(column, (task,))
             bars.append(Bar(_short(task), column.shown, rate(own) if own else None, _paper(column, task)))
     yield Chart("esr-by-task", bar_chart(bars))
-
-
-def alike(plan: BenchmarkPlan, column: Column) -> Column | None:
-    """A column on the training seeds that all columns have, to be compared with columns that have no more; None where
-    it has no others, or all have none in common."""
-    seeds = tuple(seed for seed in column.seeds if all(seed in other.seeds for other in plan.columns))
-    if not seeds or seeds == column.seeds:
-        return None
-    named = f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))} only"
-    return replace(column, title=f"{column.shown}, {named}", seeds=seeds, paper="")
 
 
 def _rows(plan: BenchmarkPlan) -> Iterator[Column]:
@@ -258,7 +193,7 @@ def _comparisons(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTa
     for one in plan.comparisons:
         names = f"{plan.column(one.first).shown} → {plan.column(one.second).shown}"
         what = "ESR" if one.outcome == "elegant" else "success"
-        found = _compared(plan, results, one.first, one.second, one.outcome)
+        found = compared(plan, results, one.first, one.second, one.outcome)
         if found is None:
             rows.append((names, what, *[MISSING] * 6))
             continue
@@ -284,21 +219,6 @@ def _comparisons(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTa
     )
     heading = ("", "of", "pairs", "difference", "only the first", "only the second", "p", "p of each seed")
     yield TextTable(heading, tuple(rows))
-
-
-def _compared(plan: BenchmarkPlan, results: Results, first: str, second: str, outcome: str) -> Any:
-    """None where no whole cell is shared, or one that the plan has for both is missing."""
-    columns = [plan.column(name) for name in (first, second)]
-    seeds = [seed for seed in columns[0].seeds if seed in columns[1].seeds]
-    sides: list[list[Any]] = [[], []]
-    for task in plan.tasks:
-        for seed in seeds:
-            for side, column in zip(sides, columns, strict=True):
-                cell = results.cells.get((column.name, task, seed))
-                if cell is None:
-                    return None
-                side += cell
-    return paired(sides[0], sides[1], outcome)
 
 
 def _sweep(plan: BenchmarkPlan, results: Results) -> tuple[str | Chart, ...] | None:

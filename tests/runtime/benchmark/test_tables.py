@@ -12,12 +12,13 @@ import pytest
 
 from jiti.errors import SourceError
 from jiti.runtime.benchmark.cells import Cell, One, Results, effort, mcnemar, paired, rate, read_cells, sign_flip
+from jiti.runtime.benchmark.figures import alike, numbers
 from jiti.runtime.benchmark.page import to_html, to_markdown, write_report
 from jiti.runtime.benchmark.paper import paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Comparison, DataPlan, RolloutsPlan
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.stages import Stage
-from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, alike, make_report, numbers
+from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, make_report
 from jiti.runtime.rollout.summary import bootstrap_interval
 from tests.builders.benchmark import write_rollouts
 
@@ -122,7 +123,7 @@ def test_interval_and_p_keep_the_policies_of_one_state_together(tmp_path):
 
 
 def played(states, training: int = 0, task: str = T0) -> list[One]:
-    return [One(task, training, k, *outcome, 100, 10, 0, 0, 0.1, 1.0) for k, outcome in enumerate(states)]
+    return [One(task, training, k, won, elegant, 100, 10, 0, 0, 0.1, 1.0) for k, (won, elegant) in enumerate(states)]
 
 
 def test_policies_that_agree_make_no_rate_more_certain():
