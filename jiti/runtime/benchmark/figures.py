@@ -53,8 +53,8 @@ def alike(plan: BenchmarkPlan, column: Column) -> Column | None:
 
 
 def compared(plan: BenchmarkPlan, results: Results, first: str, second: str, outcome: str) -> Paired | None:
-    """Two columns on all tasks and on the training seeds that both have; None where one of these cells is missing, or there
-    are none."""
+    """Two columns on all tasks and on the training seeds that both have; None where one of these cells is missing,
+    or there are none."""
     columns = [plan.column(name) for name in (first, second)]
     seeds = [seed for seed in columns[0].seeds if seed in columns[1].seeds]
     sides: list[list[Any]] = [[], []]
