@@ -100,8 +100,10 @@ def check_stop() -> None:
 
 def _lost(processes: Sequence[BaseProcess], at_work: Any) -> list[int]:
     """Places of the items whose processes did not end by themselves; the pool ends the others by SIGTERM."""
-    for process in processes:
-        process.join(GRACE_S)
+    # Not joined: the pool's own thread waits for them too, and who comes second is told nothing until it has noted it.
+    end = time.monotonic() + GRACE_S
+    while any(process.exitcode is None for process in processes) and time.monotonic() < end:
+        time.sleep(0.01)
     killed = {p.pid for p in processes if p.exitcode not in (None, 0, -signal.SIGTERM)}
     rows = [(at_work[k], at_work[k + 1]) for k in range(0, len(at_work), 2)]
     busy = {pid: place for pid, place in rows if place}
