@@ -1,6 +1,5 @@
 """Cells of a table, read from `rollouts.parquet`, and what is computed of them: rates, intervals, paired tests."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from jiti.errors import SourceError
 from jiti.runtime.benchmark.plan import Column
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.rollout.result import ROLLOUTS
-from jiti.runtime.rollout.summary import bootstrap_interval, wilson
+from jiti.runtime.rollout.summary import bootstrap_interval, mcnemar, wilson
 
 _COLUMNS = ["label", "seed", "success", "elegant", "steps", "decisions", "interventions", "problems"]
 _TIMES = ["observe_s", "sample_s", "score_s", "wall_s"]
@@ -254,14 +253,6 @@ def sign_flip(sums: Sequence[int]) -> float:
     reach = len(chances) // 2
     far = np.abs(np.arange(-reach, reach + 1)) >= abs(sum(sums))
     return min(1.0, float(chances[far].sum()))
-
-
-def mcnemar(only_first: int, only_second: int) -> float:
-    """How often fair coins split the pairs that differ at least so unevenly; 1 where none differ."""
-    total, fewer = only_first + only_second, min(only_first, only_second)
-    if not total:
-        return 1.0
-    return min(1.0, 2 * sum(math.comb(total, k) for k in range(fewer + 1)) / 2**total)
 
 
 def _discordant(

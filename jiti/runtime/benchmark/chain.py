@@ -1,6 +1,5 @@
 """The chain: what is missing of a plan's stages, in their order, on all cores, going on where a run was stopped."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -240,8 +239,3 @@ class Chain:
                 f"tau of {stage.name} is {found.tau:.4g}: {found.measured:.1%} of {found.decisions} decisions exceed "
                 f"it, {found.rate:.1%} were asked for"
             )
-
-
-def usual_workers() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -8,12 +8,13 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
+from jiti.annotate.engine import cores
 from jiti.durable import make_folder
 from jiti.errors import UsageError
 from jiti.nearest import nearest
 from jiti.progress import Progress
 from jiti.runtime.benchmark.about import made_rows, plan_digest, stage_sections
-from jiti.runtime.benchmark.chain import Chain, Say, usual_workers
+from jiti.runtime.benchmark.chain import Chain, Say
 from jiti.runtime.benchmark.figures import numbers
 from jiti.runtime.benchmark.kept import Work, code
 from jiti.runtime.benchmark.page import write_report
@@ -100,7 +101,7 @@ def run_request(request: Request, progress: Progress, say: Say) -> Done:
     tasks = tuple(catalogue.simulated(name).task_id for name in request.tasks) or plan.tasks
     if unknown := [task for task in tasks if task not in plan.tasks]:
         raise UsageError(f"--tasks {unknown[0]}: the plan plays {', '.join(plan.tasks)}.")
-    workers = request.workers or usual_workers()
+    workers = request.workers or cores()
     chain = Chain(Work(request.out), plan, catalogue, columns, tasks, request.assets, workers, say=say)
     run_chain(chain, tuple(kind for kind in request.only if kind != REPORT), progress, skip=request.only == (REPORT,))
     return report(chain, request.out / report_name(plan))

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from jiti.annotate.autolabel import autolabel
+from jiti.annotate.engine import cores
 from jiti.annotate.names import default_annotator
 from jiti.annotate.proposer import Proposer
 from jiti.episodes.episode import Episode
 from jiti.episodes.reader import open_reader
 from jiti.errors import SourceError, UsageError
 from jiti.progress import Progress
-from jiti.runtime.benchmark.chain import Chain, usual_workers
+from jiti.runtime.benchmark.chain import Chain
 from jiti.runtime.benchmark.command import Done, check_installed, report, run_chain
 from jiti.runtime.benchmark.kept import Work
 from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
@@ -111,7 +112,7 @@ def demo(
     catalogue = load_catalogue()
     task = catalogue.simulated(request.task)
     plan = _plan(request, task)
-    workers = request.workers or usual_workers()
+    workers = request.workers or cores()
     work = Work(request.folder, flat=True)
     # In the user's name, so that what they change in ESA are their own rows; a changed label is then learned from.
     chain = Chain(

@@ -101,8 +101,6 @@ def compare(
     Draws of the bootstrap are within each task, so that each keeps its weight; they follow from the seed. Raises
     UsageError where there is no such state, or one was played twice.
     """
-    from scipy.stats import binomtest
-
     a, b = _outcomes(first, outcome), _outcomes(second, outcome)
     shared = sorted(a.keys() & b.keys())
     if not shared:
@@ -110,7 +108,6 @@ def compare(
     table = np.array([(a[key], b[key]) for key in shared], int)
     only_a, only_b = int(((table[:, 0] == 1) & (table[:, 1] == 0)).sum()), int((table[:, 1] > table[:, 0]).sum())
     both = int(table.all(1).sum())
-    p = float(binomtest(only_b, only_a + only_b).pvalue) if only_a + only_b else 1.0
     differences = (table[:, 1] - table[:, 0]).astype(float)
     return Pairing(
         first[0].label,
@@ -120,10 +117,18 @@ def compare(
         only_a,
         only_b,
         len(shared) - both - only_a - only_b,
-        p,
+        mcnemar(only_a, only_b),
         float(differences.mean()),
         bootstrap_interval(differences, [task for task, _ in shared], draws=draws, seed=seed),
     )
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """How often fair coins split the pairs that differ at least so unevenly, exactly; 1 where none differ."""
+    from scipy.stats import binomtest
+
+    differ = only_first + only_second
+    return float(binomtest(only_second, differ).pvalue) if differ else 1.0
 
 
 def compare_all(rollouts: Sequence[Rollout], outcome: str = "elegant") -> list[Pairing]:

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jiti.errors import SourceError
-from jiti.runtime.benchmark.cells import Cell, One, Results, effort, mcnemar, paired, rate, read_cells, sign_flip
+from jiti.runtime.benchmark.cells import Cell, One, Results, effort, paired, rate, read_cells, sign_flip
 from jiti.runtime.benchmark.figures import alike, numbers
 from jiti.runtime.benchmark.page import to_html, to_markdown, write_report
 from jiti.runtime.benchmark.paper import paper_average
@@ -19,7 +19,7 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Comparison, DataP
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.benchmark.tables import MISSING, Chart, TextTable, make_report
-from jiti.runtime.rollout.summary import bootstrap_interval
+from jiti.runtime.rollout.summary import bootstrap_interval, mcnemar
 from tests.builders.benchmark import write_rollouts
 
 T0, T2 = "elegant/T0", "elegant/T2"
