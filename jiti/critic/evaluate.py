@@ -23,6 +23,7 @@ from jiti.critic.ranking import (
     BATCH,
     Decided,
     Ranking,
+    check_sizes,
     chunk_values,
     decided_segments,
     frames_scored,
@@ -37,7 +38,7 @@ from jiti.critic.team import usable_device
 from jiti.durable import make_folder, write_atomic
 from jiti.episodes.lerobot_index import episode_id_of
 from jiti.episodes.reader import open_reader
-from jiti.errors import SourceError, UsageError
+from jiti.errors import UsageError
 from jiti.nearest import nearest
 from jiti.progress import Progress
 
@@ -123,7 +124,7 @@ def evaluate(
     cache = feature_cache(
         data, settings.data.features, folder=features_dir, device=device, workers=workers, progress=progress
     )
-    _check(critic, data, cache)
+    check_sizes(critic, data, cache, "Evaluate it on a dataset of the same robot and features.")
 
     progress(0.1, "ranking")
     rankings = {k: rank(segment_scores(critic, data, cache, segments, earlier=k), segments) for k in LEADS}
@@ -253,16 +254,6 @@ def _check_held_out(critic: Critic, data: ElegantData, split: str) -> None:
             f"--split {split} of {data.root} has {len(seen)} episodes that the critic learned from, the first "
             f"{seen[0].split()[0]}: it was split otherwise then. Evaluate on the dataset of that time, or train again; "
             "--split train says how a critic does on what it learned from."
-        )
-
-
-def _check(critic: Critic, data: ElegantData, cache: FeatureCache) -> None:
-    have = (cache.size, cache.tokens, data.action.shape[1])
-    want = (critic.sizes.features, critic.sizes.tokens, critic.sizes.action)
-    if have != want:
-        raise SourceError(
-            f"{data.root} gives features of {have[1]} x {have[0]} numbers and actions of {have[2]}; this critic takes "
-            f"{want[1]} x {want[0]} and {want[2]}. Evaluate it on a dataset of the same robot and features."
         )
 
 

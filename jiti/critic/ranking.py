@@ -16,6 +16,7 @@ from jiti.critic.chunks import cut_chunks
 from jiti.critic.critic import Critic
 from jiti.critic.dataset import ElegantData
 from jiti.critic.features.cache import FeatureCache
+from jiti.errors import SourceError
 
 BATCH = 512
 """Chunks valued at once. Our choice: tens of megabytes."""
@@ -66,6 +67,17 @@ def frames_scored(data: ElegantData, segment: Decided, chunk: int) -> np.ndarray
     frames = np.arange(segment.start, segment.stop)
     whole = frames[frames + chunk <= data.offsets[segment.episode + 1]]
     return whole if len(whole) else frames
+
+
+def check_sizes(critic: Critic, data: ElegantData, cache: FeatureCache, remedy: str) -> None:
+    """Raises SourceError, with what to do, for features or actions of other sizes than the critic takes."""
+    sizes = critic.sizes
+    have, want = (cache.tokens, cache.size, data.action.shape[1]), (sizes.tokens, sizes.features, sizes.action)
+    if have != want:
+        raise SourceError(
+            f"{data.root} gives features of {have[0]} x {have[1]} numbers and actions of {have[2]}; this critic takes "
+            f"{want[0]} x {want[1]} and {want[2]}. {remedy}"
+        )
 
 
 def recorded_values(critic: Critic, data: ElegantData, cache: FeatureCache, frames: np.ndarray) -> np.ndarray:

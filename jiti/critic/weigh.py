@@ -8,12 +8,17 @@ import numpy as np
 from jiti.critic.critic import Critic, load_critic
 from jiti.critic.dataset import ElegantData, read_elegant
 from jiti.critic.features.cache import FeatureCache, feature_cache
-from jiti.critic.ranking import recorded_values
+from jiti.critic.ranking import check_sizes, recorded_values
 from jiti.critic.settings_file import settings_from
 from jiti.critic.team import usable_device
 from jiti.curate.export.weights import WEIGHTS_FILE, value_progress, write_weights
-from jiti.errors import SourceError
 from jiti.progress import Progress
+
+UNWEIGHED = (
+    "The dataset is whole, without weights: take them from a critic of the same robot and features with "
+    "`jiti curate DATASET --weights-from RUN`, or from labels with --weights."
+)
+"""What to do where a critic does not fit a dataset that was just made."""
 
 
 def weigher(run: str | Path, *, features_dir: Path | None = None) -> Callable[[Path, Progress], Path]:
@@ -29,7 +34,7 @@ def weigher(run: str | Path, *, features_dir: Path | None = None) -> Callable[[P
     def weigh(dataset: Path, progress: Progress) -> Path:
         data = read_elegant(dataset)
         cache = feature_cache(data, features, folder=features_dir, device=device, progress=progress)
-        _check(critic, data, cache)
+        check_sizes(critic, data, cache, UNWEIGHED)
         path = dataset / WEIGHTS_FILE
         write_weights(path, _progress_of(critic, data, cache, progress))
         return path
@@ -48,15 +53,3 @@ def _progress_of(
             yield episode, value_progress(recorded_values(critic, data, cache, frames), data.reward[frames])
         else:
             yield episode, np.zeros(len(frames), np.float32)
-
-
-def _check(critic: Critic, data: ElegantData, cache: FeatureCache) -> None:
-    """Raises SourceError for features or actions of other sizes than the critic takes."""
-    sizes = critic.sizes
-    have, want = (cache.tokens, cache.size, data.action.shape[1]), (sizes.tokens, sizes.features, sizes.action)
-    if have != want:
-        raise SourceError(
-            f"{data.root} gives features of {have[0]} x {have[1]} numbers and actions of {have[2]}; this critic takes "
-            f"{want[0]} x {want[1]} and {want[2]}. The dataset is whole, without weights: take them from a critic of "
-            "the same robot and features with `jiti curate DATASET --weights-from RUN`, or from labels with --weights."
-        )
