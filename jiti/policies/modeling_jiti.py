@@ -15,13 +15,12 @@ import torch  # noqa: TID253 - lerobot's plugin, imported with the policy
 from lerobot.policies.pretrained import PreTrainedPolicy  # noqa: TID253
 from torch import Tensor  # noqa: TID253
 
+from jiti.critic.features.opened_policy import PICTURES
 from jiti.errors import UsageError
 from jiti.policies.configuration_jiti import UNTRAINED, JitiConfig
 
 if TYPE_CHECKING:
     from jiti.runtime.guidance import Decision, Guide
-
-PICTURES = "observation.images."
 
 
 @dataclass(eq=False, slots=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-PICTURES = "observation.images."
+from jiti.critic.features.opened_policy import PICTURES
 
 Observation = Mapping[str, np.ndarray]
 """lerobot's keys: `observation.state` (n,), `observation.environment_state` (m,), `observation.images.<camera>`
