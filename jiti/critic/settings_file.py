@@ -1,6 +1,5 @@
 """Settings from a TOML file, and as JSON beside a checkpoint. An unknown key is answered with the nearest name."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from jiti.critic.settings import Settings
 from jiti.errors import UsageError
 from jiti.nearest import nearest
-from jiti.tasks.toml_lines import line_numbers, line_of
+from jiti.tasks.toml_lines import line_of, read_toml
 
 RECIPES = Path(__file__).parent / "recipes"
 """Files that come with the package, taken by their names."""
@@ -25,17 +24,8 @@ def read_settings(path: Path | None) -> Settings:
         return Settings()
     if not path.exists() and (recipe := RECIPES / f"{path}.toml").is_file():
         path = recipe
-    try:
-        text = path.read_text("utf-8")
-        content = tomllib.loads(text)
-    except OSError as error:
-        raise UsageError(
-            f"--config {path} cannot be read: {error.strerror}. Pass a TOML file, or the name of a recipe: "
-            f"{', '.join(sorted(file.stem for file in RECIPES.glob('*.toml')))}."
-        ) from error
-    except ValueError as error:
-        raise UsageError(f"--config {path} is no TOML: {error}.") from error
-    lines = line_numbers(text)
+    recipes = ", ".join(sorted(file.stem for file in RECIPES.glob("*.toml")))
+    content, lines = read_toml(path, f"--config {path}", f"Pass a TOML file, or the name of a recipe: {recipes}.")
     return settings_from(content, lambda keys: f"{path}, line {line_of(lines, keys)}: ")
 
 

@@ -1,6 +1,11 @@
 """On which line of a TOML file a table or key stands, which the standard library's parser does not tell."""
 
 import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from jiti.errors import UsageError
 
 KeyPath = tuple[str | int, ...]
 """Keys and places in arrays of tables: `("task", 0, "itc", 1, "criterion")`."""
@@ -8,6 +13,18 @@ KeyPath = tuple[str | int, ...]
 _KEY = re.compile(r"""\s*(?:"((?:[^"\\]|\\.)*)"|'([^']*)'|([A-Za-z0-9_-]+))\s*""")
 _OPAQUE = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'|\#[^\n]*', re.DOTALL)
 """Strings and comments, in which brackets and line ends mean nothing."""
+
+
+def read_toml(path: Path, asked: str, remedy: str) -> tuple[dict[str, Any], dict[KeyPath, int]]:
+    """A file's tables, and the line of each. Raises UsageError, which begins with what was `asked`: `--config a.toml`."""
+    try:
+        text = path.read_text("utf-8")
+        content = tomllib.loads(text)
+    except OSError as error:
+        raise UsageError(f"{asked} cannot be read: {error.strerror}. {remedy}") from error
+    except ValueError as error:
+        raise UsageError(f"{asked} is no TOML: {error}.") from error
+    return content, line_numbers(text)
 
 
 def line_numbers(text: str) -> dict[KeyPath, int]:

@@ -1,7 +1,6 @@
 """A benchmark's plan from a TOML file; every mistake in it is told with its line."""
 
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -21,7 +20,7 @@ from jiti.runtime.benchmark.plan import (
     RolloutsPlan,
     TauPlan,
 )
-from jiti.tasks.toml_lines import KeyPath, line_numbers, line_of
+from jiti.tasks.toml_lines import KeyPath, line_of, read_toml
 
 PLANS = Path(__file__).parent / "plans"
 """Plans that come with the package, taken by their names."""
@@ -48,17 +47,8 @@ def read_plan(plan: str | Path) -> BenchmarkPlan:
     path = Path(plan)
     if path.suffix != ".toml" and (shipped := PLANS / f"{plan}.toml").is_file():
         path = shipped
-    try:
-        text = path.read_text("utf-8")
-        content = tomllib.loads(text)
-    except OSError as error:
-        raise UsageError(
-            f"--plan {plan} cannot be read: {error.strerror}. Pass a TOML file, or the name of a plan of the package: "
-            f"{', '.join(shipped_plans())}."
-        ) from error
-    except ValueError as error:
-        raise UsageError(f"--plan {plan} is no TOML: {error}.") from error
-    lines = line_numbers(text)
+    remedy = f"Pass a TOML file, or the name of a plan of the package: {', '.join(shipped_plans())}."
+    content, lines = read_toml(path, f"--plan {plan}", remedy)
     return plan_from(content, lambda keys: f"{path.name}, line {line_of(lines, keys)}: ", path.stem)
 
 
