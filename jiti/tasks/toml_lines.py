@@ -16,7 +16,7 @@ _OPAQUE = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|\\
 
 
 def read_toml(path: Path, asked: str, remedy: str) -> tuple[dict[str, Any], dict[KeyPath, int]]:
-    """A file's tables, and the line of each. Raises UsageError, which begins with what was `asked`: `--config a.toml`."""
+    """A file's tables, and the line of each. Raises UsageError, which begins with what was `asked`: `--config FILE`."""
     try:
         text = path.read_text("utf-8")
         content = tomllib.loads(text)
