@@ -26,7 +26,7 @@ def stages(tmp_path):
 def test_jobs_say_what_the_plan_says(tmp_path):
     work, policy, critic = stages(tmp_path)
     arguments = policy_job(work, policy, PLAN)["arguments"]
-    assert {"--seed=3", "--steps=6000", "--sample_weighting.type=rabc"} <= set(arguments)
+    assert {"--seed=3", "--steps=20000", "--sample_weighting.type=rabc"} <= set(arguments)
     assert any(one.startswith("--output_dir=") and one.endswith(".partial") for one in arguments)
     job = critic_job(work, critic, PLAN)
     assert job["settings"] == {"run": {"steps": 6000, "seed": 0}, "data": {"rewards": "success"}}
