@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jiti.runtime.rollout.agent import Agent, Observation
+from jiti.runtime.candidates.observation import Observation
+from jiti.runtime.rollout.agent import Agent
 from jiti.runtime.rollout.plan import RolloutPlan
 
 CHUNK, ACTION = 10, 7

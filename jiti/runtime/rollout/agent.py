@@ -1,6 +1,6 @@
 """Who acts in a rollout: a sampler of a frozen policy, and a critic where one is asked."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -8,12 +8,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from jiti.runtime.candidates.observation import Observation
 from jiti.runtime.guidance import Score
 from jiti.runtime.rollout.plan import RolloutPlan
-
-Observation = Mapping[str, np.ndarray]
-"""By lerobot's keys: `observation.state` (8,), `observation.environment_state` (n,), `observation.images.<camera>`
-(height, width, 3) uint8."""
 
 
 class Seen(Protocol):

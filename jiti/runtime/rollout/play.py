@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from jiti.errors import UsageError
+from jiti.runtime.candidates.observation import Observation
 from jiti.runtime.guidance import Decision, Guidance, Guide, Score
-from jiti.runtime.rollout.agent import Agent, Observation
+from jiti.runtime.rollout.agent import Agent
 from jiti.runtime.sim.env import ElegantEnv
 from jiti.runtime.sim.monitor import Outcome
 
