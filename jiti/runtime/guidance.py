@@ -113,33 +113,32 @@ class Guide:
         unless it triggers. A value that is not finite leaves the default, and the decision says so."""
         g, number = self.guidance, self._decisions
         self._decisions += 1
-        began = perf_counter()
-        default = sample(self._noise(number, 0, 1))
-        sample_s, score_s = perf_counter() - began, 0.0
+        # Full guidance looks at all in any case, and draws and values them as one batch.
+        looked = g.candidates if g.method == "full" else 1
+        chunks, sample_s = _timed(sample, self._noise(number, 0, looked))
         q_t = q_bar = float("nan")
         if g.method == "none":
-            return default[0], Decision(number, q_t, q_bar, False, (), 0, sample_s, score_s)
-        began = perf_counter()
-        q_t = float(score(default)[0])
-        score_s += perf_counter() - began
+            return chunks[0], Decision(number, q_t, q_bar, False, (), 0, sample_s, 0.0)
+        values, score_s = _timed(score, chunks)
+        q_t = float(values[0])
         q_bar = float(np.mean(self._before)) if self._before else q_bar
         if np.isfinite(q_t):
             self._before.append(q_t)
         wanted = g.method == "full" or (g.tau is not None and abs(q_t - q_bar) > g.tau)
         if not np.isfinite(q_t):
             why = "the critic gave no number for the default"
-            return default[0], Decision(number, q_t, q_bar, False, (), 0, sample_s, score_s, why)
+            return chunks[0], Decision(number, q_t, q_bar, False, (), 0, sample_s, score_s, why)
         if not wanted or g.candidates == 1:
-            return default[0], Decision(number, q_t, q_bar, wanted, (), 0, sample_s, score_s)
-        began = perf_counter()
-        chunks = np.concatenate([default, sample(self._noise(number, 1, g.candidates))])
-        sample_s += perf_counter() - began
-        began = perf_counter()
-        values = np.append(q_t, score(chunks[1:])).astype(float)
-        score_s += perf_counter() - began
+            return chunks[0], Decision(number, q_t, q_bar, wanted, (), 0, sample_s, score_s)
+        if looked < g.candidates:
+            others, others_sample_s = _timed(sample, self._noise(number, looked, g.candidates))
+            others_values, others_score_s = _timed(score, others)
+            chunks, values = np.concatenate([chunks, others]), np.append(values, others_values)
+            sample_s, score_s = sample_s + others_sample_s, score_s + others_score_s
         why = "" if np.isfinite(values).all() else "the critic gave no number for a candidate"
         chosen = 0 if why else self._choose(values, number)
-        return chunks[chosen], Decision(number, q_t, q_bar, True, tuple(values), chosen, sample_s, score_s, why)
+        told = tuple(float(value) for value in values)
+        return chunks[chosen], Decision(number, q_t, q_bar, True, told, chosen, sample_s, score_s, why)
 
     def _noise(self, decision: int, first: int, stop: int) -> np.ndarray:
         return np.stack([noise(self.seed, decision, k, self.shape) for k in range(first, stop)])
@@ -151,6 +150,12 @@ class Guide:
             return int(np.random.default_rng([self.seed, decision, 0, _PICK]).integers(len(values)))
         place = {"best": 0, "median": (len(values) - 1) // 2, "worst": -1}[self.guidance.pick]
         return int(ranked[place])
+
+
+def _timed(ask: Callable[[np.ndarray], np.ndarray], given: np.ndarray) -> tuple[np.ndarray, float]:
+    """What it answers, and the seconds that it took."""
+    began = perf_counter()
+    return ask(given), perf_counter() - began
 
 
 def calibrated_tau(delta_q: np.ndarray, rate: float) -> float:

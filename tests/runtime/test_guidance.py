@@ -106,16 +106,16 @@ def test_the_random_pick_does_not_depend_on_the_noise_of_the_default():
     assert np.bincount(chosen, minlength=8).min() > 400 / 8 / 2
 
 
+@pytest.mark.parametrize("guidance", [Guidance("full"), Guidance("jiti", tau=0.0)])
 @pytest.mark.parametrize("broken", [0, 3])
-def test_a_critic_without_a_number_leaves_the_default_and_is_told(broken):
+def test_a_critic_without_a_number_leaves_the_default_and_is_told(broken, guidance):
     def value(chunks, step):
         values = chunks.sum((1, 2))
-        # The default is scored alone, the others after it.
-        if step == 5 and (len(chunks) == 1) == (broken == 0):
-            values[0] = np.nan
+        lost = noise(3, 5, broken, SHAPE) + 5
+        values[[np.array_equal(chunk, lost) for chunk in chunks]] = np.nan
         return values
 
-    chunks, decisions = World(value).play(Guidance("full"))
+    chunks, decisions = World(value).play(guidance)
     default = World().play(Guidance("none"))[0]
     np.testing.assert_array_equal(chunks[5], default[5])
     assert decisions[5].chosen == 0
