@@ -142,20 +142,19 @@ class Scene:
     def step(self, action: np.ndarray) -> None:
         """Apply an action (7,) in -1 to 1 for one control step of 1/20 s.
 
-        To the last bit what robosuite's own `env.step` does, in two fifths of its time: that computes positions and
+        To the last bit what robosuite's own `env.step` does, in a third of its time: that computes positions and
         forces of the same state three times in each of the 25 substeps, once for itself, once for the controller and
         once to integrate. Here the controller acts between the two halves of MuJoCo's step.
         """
         model, data = self.world.model, self.world.data
         action = np.asarray(action, dtype=np.float64)
-        with self._control.acting():
-            for substep in range(SUBSTEPS):
-                self._mujoco.mj_step1(model, data)
-                if substep == 0:
-                    self._control.begin(action)
-                else:
-                    self._control.go_on(action)
-                self._mujoco.mj_step2(model, data)
+        for substep in range(SUBSTEPS):
+            self._mujoco.mj_step1(model, data)
+            if substep == 0:
+                self._control.begin(action)
+            else:
+                self._control.go_on()
+            self._mujoco.mj_step2(model, data)
         self._env._post_process()
 
     @property
