@@ -190,7 +190,7 @@ class Scene:
     @property
     def eef_quaternion_xyzw(self) -> np.ndarray:
         """(4,): rotation of the hand in the world, with MuJoCo's sign, which does not jump while the arm moves."""
-        return np.roll(self.world.data.body("robot0_right_hand").xquat, -1)
+        return self.world.data.body("robot0_right_hand").xquat[[1, 2, 3, 0]]
 
     @property
     def joint_rad(self) -> np.ndarray:
