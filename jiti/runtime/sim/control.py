@@ -31,9 +31,12 @@ class ArmControl:
         (robot,) = env.robots
         self._controller: Any = robot.controller
         self._gripper: Any = robot.gripper
+        self._kp_pos, self._kp_ori = np.split(self._controller.kp, 2)
+        self._kd_pos, self._kd_ori = np.split(self._controller.kd, 2)
         self._site = model.site(self._controller.eef_name).id
         self._dofs = _span(self._controller.qvel_index)
-        self._jac, self._mass = np.zeros((6, model.nv)), np.zeros((model.nv, model.nv))
+        self._jac_pos, self._jac_ori = np.zeros((2, 3, model.nv))
+        self._mass = np.zeros((model.nv, model.nv))
         # Views of MuJoCo's own memory, which show what the simulation is at.
         self._place, self._turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
         self._qvel = data.qvel
@@ -65,20 +68,20 @@ class ArmControl:
 
     def _run(self) -> np.ndarray:
         """(7,) Nm. `Controller.update`, `OperationalSpaceController.run_controller`."""
-        by, law = self._controller, self._law
-        jac_pos, jac_ori = self._jac[:3], self._jac[3:]
-        self._mujoco.mj_jacSite(self._model, self._data, jac_pos, jac_ori, self._site)
+        by, law, dofs = self._controller, self._law, self._dofs
+        self._mujoco.mj_jacSite(self._model, self._data, self._jac_pos, self._jac_ori, self._site)
         self._mujoco.mj_fullM(self._model, self._mass, self._data.qM)
-        velocity = np.concatenate([jac_pos @ self._qvel, jac_ori @ self._qvel])
         # robosuite's matrices lie in columns, and a product of rows would round otherwise.
-        mass = self._mass[self._dofs, self._dofs].copy(order="F")
-        full, pos, ori = (part[:, self._dofs].copy(order="F") for part in (self._jac, jac_pos, jac_ori))
-        error = np.concatenate([by.goal_pos - self._place, law.orientation_error(by.goal_ori, self._turn)])
-        wrench = error * by.kp - velocity * by.kd
+        mass = self._mass[dofs, dofs].copy("F")
+        pos, ori = self._jac_pos[:, dofs].copy("F"), self._jac_ori[:, dofs].copy("F")
+        full = np.concatenate((pos, ori))
         _, inertia_pos, inertia_ori, nullspace = law.opspace_matrices(mass, full, pos, ori)
-        wrench = np.concatenate([np.dot(inertia_pos, wrench[:3]), np.dot(inertia_ori, wrench[3:])])
+        force = (by.goal_pos - self._place) * self._kp_pos - self._jac_pos.dot(self._qvel) * self._kd_pos
+        turn = law.orientation_error(by.goal_ori, self._turn)
+        torque = turn * self._kp_ori - self._jac_ori.dot(self._qvel) * self._kd_ori
+        wrench = np.concatenate((inertia_pos.dot(force), inertia_ori.dot(torque)))
         posture = law.nullspace_torques(mass, nullspace, by.initial_joint, self._joint_pos, self._joint_vel)
-        return np.dot(full.T, wrench) + self._gravity + posture
+        return full.T.dot(wrench) + self._gravity + posture
 
 
 def _span(indexes: Any) -> slice:
