@@ -3,7 +3,7 @@
 Its controller's law, its numbers and their order are robosuite's own (1.4.0), so a trajectory is the same to the last
 bit; a test compares them. What is saved is bookkeeping: names looked up, limits gathered, numbers copied, a Jacobian
 computed twice, a whole forward pass in each of the 25 substeps, and a record of the last actions and forces that
-nothing here reads. It was half of all the time that a simulation took.
+nothing here reads.
 """
 
 from typing import Any
