@@ -34,8 +34,9 @@ def hand_down(yaw_rad: float) -> np.ndarray:
 
 
 def quaternion_xyzw(pose: np.ndarray) -> np.ndarray:
-    """(4,) unit quaternion of a rotation (3, 3) or pose (4, 4), w not negative (Bar-Itzhack 2000, version 3)."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = pose[:3, :3]
+    """(..., 4) unit quaternion of a rotation (..., 3, 3) or pose (..., 4, 4), w not negative (Bar-Itzhack 2000,
+    version 3)."""
+    (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = pose[..., :3, :3].T
     symmetric = np.array(
         [
             [xx - yy - zz, yx + xy, zx + xz, zy - yz],
@@ -44,8 +45,8 @@ def quaternion_xyzw(pose: np.ndarray) -> np.ndarray:
             [zy - yz, xz - zx, yx - xy, xx + yy + zz],
         ]
     )
-    quaternion = np.linalg.eigh(symmetric)[1][:, -1]
-    return quaternion if quaternion[3] >= 0 else -quaternion
+    quaternion = np.linalg.eigh(symmetric.T)[1][..., -1]
+    return np.where(quaternion[..., 3:] >= 0, quaternion, -quaternion)
 
 
 def matrices(quaternions_xyzw: np.ndarray) -> np.ndarray:

@@ -64,22 +64,19 @@ def scene_state(
     All in the world's axes: places from the hand's place and from the first thing's, and the x and z axes of each
     thing. Places that no thing has are zeros, and so are parts.
     """
-    frames = len(hand_m)
-    parts: list[np.ndarray] = [np.asarray(touched, np.float64).reshape(frames, 1)]
-    named = [*order][:SLOTS]
-    for slot in range(SLOTS):
-        if slot >= len(named):
-            parts.append(np.zeros((frames, 9 + 3 * bool(slot) + JOINTS)))
-            continue
-        name = named[slot]
-        pose, moving = poses[name], np.zeros((frames, JOINTS))
-        parts.append(pose[:, :3] - hand_m)
-        if slot:
-            parts.append(pose[:, :3] - poses[named[0]][:, :3])
-        turned = matrices(pose[:, 3:])
-        parts += [turned[:, :, 0], turned[:, :, 2]]
+    frames, named = len(hand_m), [*order][:SLOTS]
+    pose = np.stack([poses[name] for name in named], axis=1)
+    places, turned = pose[..., :3], matrices(pose[..., 3:].reshape(-1, 4)).reshape(*pose.shape[:2], 3, 3)
+    slots = np.zeros((frames, SLOTS, 12 + JOINTS))
+    things = slots[:, : len(named)]
+    things[..., 0:3] = places - hand_m[:, None]
+    things[..., 3:6] = places - places[:, :1]
+    things[..., 6:9], things[..., 9:12] = turned[..., 0], turned[..., 2]
+    for slot, name in enumerate(named):
         if name in joints:
             stand = joints[name][:, :JOINTS]
-            moving[:, : stand.shape[1]] = stand
-        parts.append(moving)
-    return np.concatenate(parts, axis=1).astype(np.float32)
+            slots[:, slot, 12 : 12 + stand.shape[1]] = stand
+    told = slots.reshape(frames, SLOTS * (12 + JOINTS))
+    touched = np.asarray(touched, np.float64).reshape(frames, 1)
+    # The first thing's place from itself is left out.
+    return np.concatenate([touched, told[:, :3], told[:, 6:]], axis=1).astype(np.float32)

@@ -65,18 +65,28 @@ def test_a_seed_gives_the_same_state_to_the_last_bit(bowl: Scene) -> None:
     np.testing.assert_array_equal(run(), first)
 
 
-def test_a_step_is_robosuites_own_to_the_last_bit(bowl: Scene) -> None:
-    """Also in contact: the hand closes, and is driven down into whatever is there."""
+@pytest.mark.parametrize("task_id", [f"elegant/T{k}" for k in (0, 2, 3, 6, 7)])
+def test_a_step_is_robosuites_own_to_the_last_bit(task_id: str) -> None:
+    """With and without turns, the hand opening and closing, in the air and driven down into whatever is there."""
+    with Scene(CATALOGUE.task(task_id)) as scene:
+        data = scene.world.data
 
-    def run(step) -> np.ndarray:
-        bowl.reset(11)
-        random = np.random.default_rng(0)
-        for _ in range(25):
-            step(np.array([*random.uniform(-1, 1, 2), -1, *random.uniform(-0.3, 0.3, 3), 1.0]))
-        assert len(bowl.world.data.contact)
-        return np.concatenate([bowl.world.data.qpos, bowl.world.data.qvel, bowl.world.data.xpos.ravel()])
+        def run(step) -> np.ndarray:
+            scene.reset(11)
+            random = np.random.default_rng(0)
+            seen = []
+            for k in range(60):
+                action = random.uniform(-1, 1, 7)
+                if k % 3 == 0:
+                    action[3:6] = 0
+                if k >= 20:
+                    action[2] = -1
+                step(action)
+                seen.append(np.concatenate([data.ctrl, data.qpos, data.qvel, data.xpos.ravel()]))
+            assert len(data.contact)
+            return np.array(seen)
 
-    np.testing.assert_array_equal(run(bowl.step), run(bowl._env.step))
+        np.testing.assert_array_equal(run(scene.step), run(scene._env.step))
 
 
 def test_numpys_own_generator_is_left_as_it_was(bowl: Scene) -> None:

@@ -84,8 +84,9 @@ def test_a_quaternion_turns_as_its_matrix_does(angle):
 
 @given(TURNS)
 def test_the_matrices_of_quaternions_are_the_rotations_that_they_were_made_of(turns):
-    quaternions = np.array([quaternion_xyzw(turn) for turn in turns])
+    quaternions = quaternion_xyzw(turns)
     np.testing.assert_allclose(matrices(quaternions), turns, atol=1e-12)
+    np.testing.assert_array_equal(quaternions, [quaternion_xyzw(turn) for turn in turns])
 
 
 @given(AXIS, st.floats(-np.pi, np.pi), st.floats(1e-3, 1e3), st.sampled_from([-1, 1]))

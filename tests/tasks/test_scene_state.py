@@ -54,6 +54,16 @@ def test_moving_the_whole_scene_changes_nothing():
     np.testing.assert_allclose(scene_state(hand + shift, moved, *args), scene_state(hand, poses, *args), atol=1e-6)
 
 
+def test_a_frame_is_the_same_to_the_last_bit_alone_and_among_others():
+    """The simulator makes one at a time, a recording all at once."""
+    rng = np.random.default_rng(4)
+    hand, poses = rng.normal(size=(30, 3)), {name: rng.normal(size=(30, 7)) for name in "abcd"}
+    together = scene_state(hand, poses, "abcd", np.zeros(30))
+    for k in range(30):
+        one = {name: pose[k : k + 1] for name, pose in poses.items()}
+        np.testing.assert_array_equal(scene_state(hand[k : k + 1], one, "abcd", np.zeros(1))[0], together[k])
+
+
 def test_what_is_moved_comes_first_then_where_to_then_what_an_itc_speaks_of():
     task = load_catalogue().task("elegant/T6")
     things = ["wine_rack_1", "wine_bottle_1", "akita_black_bowl_1", "plate_1", "cream_cheese_1", "stove_front"]

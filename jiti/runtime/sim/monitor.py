@@ -83,7 +83,7 @@ class Monitor:
         """Add the present state as the next step."""
         measured = [predicate.look() for predicate in self._predicates.values()]
         self._holds.append([p.holds(m) for p, m in zip(self._predicates.values(), measured, strict=True)])
-        self._measured.append([*measured, *(self._gap_m(name) for name in self._neighbours.values())])
+        self._measured.append([*measured, *self._gaps_m()])
         self._success = self._success or self._scene.succeeded()
 
     @property
@@ -112,11 +112,12 @@ class Monitor:
         verdicts = {itc_id: judge(goal, trace) for itc_id, goal in self._goals.items()}
         return Outcome(self._success, verdicts, len(self._holds))
 
-    def _gap_m(self, neighbour: str) -> float:
-        """How near the hand, and what it touches or holds, is to something that should stay as it is."""
+    def _gaps_m(self) -> list[float]:
+        """How near the hand, and what it touches or holds, is to each thing that should stay as it is."""
+        if not self._neighbours:
+            return []
         world = self._scene.world
-        moved = [GRIPPER]
-        things = [n for n in self._scene.interest if n in world.names.objects and n != neighbour]
+        things = [n for n in self._scene.interest if n in world.names.objects]
         contacts = world.contacts((*things, GRIPPER))
-        moved += [n for n in things if (GRIPPER, n) in contacts]
-        return min(world.gap_m(name, neighbour) for name in moved)
+        moved = [GRIPPER, *(n for n in things if (GRIPPER, n) in contacts)]
+        return [min(world.gap_m(n, stays) for n in moved if n != stays) for stays in self._neighbours.values()]

@@ -26,7 +26,7 @@ def axis_angle(quaternion_xyzw: np.ndarray) -> np.ndarray:
     lerobot's convention: w keeps its sign, so the angle passes pi smoothly, near which it is for a hand that points
     down, and where a shortest rotation vector would jump.
     """
-    w = float(np.clip(quaternion_xyzw[3], -1, 1))
+    w = min(max(float(quaternion_xyzw[3]), -1.0), 1.0)
     length = np.sqrt(max(0.0, 1 - w * w))
     return np.zeros(3) if length < 1e-10 else quaternion_xyzw[:3] * 2 * np.arccos(w) / length
 
@@ -41,12 +41,13 @@ def scene_order(scene: Scene) -> list[str]:
 
 def scene_vector(scene: Scene, order: Sequence[str]) -> np.ndarray:
     """(n,) float32: where things are now, as `jiti.tasks.scene_state` has it of a recording."""
-    poses = {name: scene.world.pose(name) for name in order}
-    vectors = {name: np.append(pose[:3, 3], quaternion_xyzw(pose))[None] for name, pose in poses.items()}
-    touched = (GRIPPER, order[0]) in scene.world.contacts()
-    fixtures = scene.world.names.fixtures
-    joints = {name: scene.world.joints(name)[None] for name in order if name in fixtures}
-    return scene_state(scene.world_T_eef[None, :3, 3], vectors, order, np.array([touched]), joints)[0]
+    world = scene.world
+    turns = quaternion_xyzw(np.array([world.rotation(name) for name in order]))
+    poses = np.concatenate([[world.position(name) for name in order], turns], axis=1)
+    touched = (GRIPPER, order[0]) in world.contacts()
+    joints = {name: world.joints(name)[None] for name in order if name in world.names.fixtures}
+    hand_m = scene.world_T_eef[None, :3, 3]
+    return scene_state(hand_m, dict(zip(order, poses[:, None], strict=True)), order, np.array([touched]), joints)[0]
 
 
 def spoken_regions(scene: Scene) -> list[str]:

@@ -142,20 +142,19 @@ class Scene:
     def step(self, action: np.ndarray) -> None:
         """Apply an action (7,) in -1 to 1 for one control step of 1/20 s.
 
-        To the last bit what robosuite's own `env.step` does, in two fifths of its time: that computes positions and
+        To the last bit what robosuite's own `env.step` does, in a third of its time: that computes positions and
         forces of the same state three times in each of the 25 substeps, once for itself, once for the controller and
         once to integrate. Here the controller acts between the two halves of MuJoCo's step.
         """
         model, data = self.world.model, self.world.data
         action = np.asarray(action, dtype=np.float64)
-        with self._control.acting():
-            for substep in range(SUBSTEPS):
-                self._mujoco.mj_step1(model, data)
-                if substep == 0:
-                    self._control.begin(action)
-                else:
-                    self._control.go_on(action)
-                self._mujoco.mj_step2(model, data)
+        for substep in range(SUBSTEPS):
+            self._mujoco.mj_step1(model, data)
+            if substep == 0:
+                self._control.begin(action)
+            else:
+                self._control.go_on()
+            self._mujoco.mj_step2(model, data)
         self._env._post_process()
 
     @property
@@ -191,7 +190,7 @@ class Scene:
     @property
     def eef_quaternion_xyzw(self) -> np.ndarray:
         """(4,): rotation of the hand in the world, with MuJoCo's sign, which does not jump while the arm moves."""
-        return np.roll(self.world.data.body("robot0_right_hand").xquat, -1)
+        return self.world.data.body("robot0_right_hand").xquat[[1, 2, 3, 0]]
 
     @property
     def joint_rad(self) -> np.ndarray:

@@ -131,7 +131,7 @@ class World:
         """Pairs of names that touch, both ways round; among objects, fixtures and gripper unless others are named."""
         names = {self.owner(n) for n in among} if among else {*self.names.objects, *self.names.fixtures, GRIPPER}
         found = set()
-        for first, second in self.data.contact.geom.tolist():
+        for first, second in set(zip(*self.data.contact.geom.T.tolist(), strict=True)):
             for one in self._parts.get(first, ()):
                 for other in self._parts.get(second, ()):
                     if one != other and one in names and other in names:
