@@ -45,8 +45,9 @@ class VirtualArm:
         del by_port[self.port]
         self._pictures.close()
         self._line.close()
-        assert self._folder is not None
-        self._folder.cleanup()
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
 
     @property
     def port(self) -> str:

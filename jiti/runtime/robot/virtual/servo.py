@@ -57,6 +57,7 @@ class Servo:
         self.memory[r.OFFSET] = mount + 1
         self.memory[r.MIN_POSITION] = 0 if full_turn else r.STEPS // 2 - 1 - half
         self.memory[r.MAX_POSITION] = r.STEPS - 1 if full_turn else r.STEPS // 2 - 1 + half
+        self._angle_rad = self._middle_rad
         self._powered = False
         self._at = self._speed = 0.0  # of the target on its way to the goal, in the joint's steps and steps/s
         self._strained_s = 0.0
@@ -65,6 +66,11 @@ class Servo:
         """Begin at an angle, which is its goal until there is another."""
         self.measure(angle_rad, 0.0, 0.0, 0.0)
         self.memory[r.GOAL_POSITION] = self.memory[r.PRESENT_POSITION]
+
+    def write(self, address: int, values: bytes) -> None:
+        """Set bytes of its memory; a new offset shows at once in the position."""
+        self.memory.write(address, values)
+        self._show_position()
 
     @property
     def error(self) -> r.Error:
@@ -75,10 +81,8 @@ class Servo:
         self, angle_rad: float, speed_rad_s: float, torque_nm: float, dt_s: float, *, weak: bool = False
     ) -> None:
         """Set what it reports, and watch for an overload: too much torque for too long. `weak` makes it so at once."""
-        memory = self.memory
-        position = self._steps(angle_rad) - memory[r.OFFSET]
-        counts_turns = memory[r.PHASE] & 0x10
-        memory[r.PRESENT_POSITION] = position if counts_turns else position % r.STEPS
+        memory, self._angle_rad = self.memory, angle_rad
+        self._show_position()
         memory[r.PRESENT_VELOCITY] = round(speed_rad_s / STEP_RAD)
         load = torque_nm / STALL_NM
         memory[r.PRESENT_LOAD] = round(1000 * load)
@@ -122,6 +126,8 @@ class Servo:
         from_middle = goal + memory[r.OFFSET] - r.STEPS // 2 - self._mount
         return self._middle_rad / STEP_RAD + (from_middle + r.STEPS // 2) % r.STEPS - r.STEPS // 2
 
-    def _steps(self, angle_rad: float) -> int:
-        """What the encoder shows."""
-        return (r.STEPS // 2 + self._mount + round((angle_rad - self._middle_rad) / STEP_RAD)) % r.STEPS
+    def _show_position(self) -> None:
+        encoder = r.STEPS // 2 + self._mount + round((self._angle_rad - self._middle_rad) / STEP_RAD)
+        position = encoder % r.STEPS - self.memory[r.OFFSET]
+        counts_turns = self.memory[r.PHASE] & 0x10
+        self.memory[r.PRESENT_POSITION] = position if counts_turns else position % r.STEPS

@@ -1,6 +1,6 @@
 """Servos on one line: who is meant by an instruction, what it does to them, and what they answer.
 
-What a write does shows from the servo's next control step on; its answer has the error that the servo had before.
+What a write does to the motor shows from its next control step on; the answer has the error that there was before.
 """
 
 from collections.abc import Iterator, Mapping
@@ -30,7 +30,7 @@ class ServoBus:
             case packet.WRITE if given:
                 answers = self._acknowledge(instruction.servo, meant)
                 for servo in meant.values():
-                    servo.memory.write(given[0], given[1:])
+                    servo.write(given[0], given[1:])
                 return answers
             case packet.REG_WRITE if given:
                 self._prepared |= dict.fromkeys(meant, given)
@@ -38,7 +38,7 @@ class ServoBus:
             case packet.ACTION:
                 for number in meant.keys() & self._prepared.keys():
                     address, *values = self._prepared.pop(number)
-                    meant[number].memory.write(address, bytes(values))
+                    meant[number].write(address, bytes(values))
                 return self._acknowledge(instruction.servo, meant)
             case packet.SYNC_READ if len(given) > 2:
                 there = dict(self._meant(packet.BROADCAST))
@@ -48,7 +48,7 @@ class ServoBus:
                 there = dict(self._meant(packet.BROADCAST))
                 for start in range(2, len(given) - size, size + 1):
                     if given[start] in there:
-                        there[given[start]].memory.write(address, given[start + 1 : start + 1 + size])
+                        there[given[start]].write(address, given[start + 1 : start + 1 + size])
         return []
 
     def _meant(self, number: int) -> Iterator[tuple[int, Servo]]:

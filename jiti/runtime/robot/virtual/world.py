@@ -32,8 +32,8 @@ CONTROL_S = 0.005
 """Between two decisions of a servo. Our choice: finer than any motion that it can make."""
 LONGEST_S = 0.25
 """Most that `advance` makes up for. When no one came for longer, the world stood still. Our choice."""
-JAMMED_NM = 1000.0
-"""Friction of a joint that does not move."""
+JAMMED = 1e4
+"""Drag of a joint that does not move, in N m s/rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,6 @@ class World:
             self.data.qpos[joint.qposadr[0]] = REST_RAD.get(name, 0.0)
             low, high = joint.range
             self.servos[number] = Servo(number, low_rad=low, high_rad=high, mount=mount, full_turn=name == FULL_TURN)
-        self._friction = self.model.dof_frictionloss[self._dof].copy()
-        self.model.dof_damping[self._dof] = DRAG
         self.reset(seed)
         for servo, place in zip(self.servos.values(), self._qpos, strict=True):
             servo.power_up(self.data.qpos[place])
@@ -135,7 +133,7 @@ class World:
             model.actuator_gainprm[k, 0] = drive.stiffness
             model.actuator_biasprm[k, 1:3] = -drive.stiffness, -drive.damping
             model.actuator_forcerange[k] = -drive.limit_nm, drive.limit_nm
-            model.dof_frictionloss[self._dof[k]] = JAMMED_NM if number in self.faults.jam else self._friction[k]
+            model.dof_damping[self._dof[k]] = JAMMED if number in self.faults.jam else DRAG
 
     def _measure(self) -> None:
         angles, speeds = self.data.qpos[self._qpos].tolist(), self.data.qvel[self._dof].tolist()
