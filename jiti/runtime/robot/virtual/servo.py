@@ -5,7 +5,7 @@ torque only the friction of its gears is left. Position mode is all there is of 
 """
 
 from dataclasses import dataclass
-from math import copysign, inf, pi, sqrt
+from math import copysign, pi, sqrt
 
 from jiti.runtime.robot.virtual import registers as r
 
@@ -23,6 +23,8 @@ DAMPING_OF_D = 0.04
 """N m s/rad for one unit of the D coefficient. Our choice: with lerobot's P 16 and D 32 no joint overshoots."""
 STALL_A = 2.5
 """Current at stall. Our choice: Feetech gives 2.7 A for the 12 V model."""
+UNLIMITED = 1e9
+"""Steps/s2 that stand for no limit: up to speed, and down from it, in one step of any length."""
 MOVING_FROM = 20
 """Steps/s from which it says that it moves. Our choice."""
 
@@ -111,11 +113,11 @@ class Servo:
     def _approach(self, dt_s: float) -> None:
         memory = self.memory
         left = self._goal() - self._at
-        fastest = min(abs(memory[r.GOAL_VELOCITY]) or inf, FASTEST)
-        acceleration = 100 * memory[r.ACCELERATION] or inf
-        # The speed from which it can still stop at the goal, and the change that one step allows.
-        wish = copysign(min(fastest, sqrt(2 * acceleration * abs(left)), abs(left) / dt_s), left)
-        change = acceleration * dt_s
+        fastest = min(abs(memory[r.GOAL_VELOCITY]) or FASTEST, FASTEST)
+        change = (100 * memory[r.ACCELERATION] or UNLIMITED) * dt_s  # of the speed, in one step
+        # From this speed it still stops at the goal when each step takes `change` off it.
+        stoppable = sqrt((change / 2) ** 2 + 2 * change / dt_s * abs(left)) - change / 2
+        wish = copysign(min(fastest, stoppable, abs(left) / dt_s), left)
         self._speed = min(max(wish, self._speed - change), self._speed + change)
         self._at += self._speed * dt_s
 
