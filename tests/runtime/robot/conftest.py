@@ -25,7 +25,7 @@ def follower(arm: VirtualArm) -> Iterator[Any]:
     robot = SO100Follower(arm.config())
     robot.connect()
     yield robot
-    vars(arm.faults).update(vars(Faults()))
+    arm.faults = Faults()
     robot.bus.port_handler.closePort()
 
 

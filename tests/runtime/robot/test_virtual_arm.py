@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from jiti.runtime.robot.virtual import VirtualArm
+from jiti.errors import UsageError
+from jiti.runtime.robot.virtual import Faults, VirtualArm
 from jiti.runtime.robot.virtual import registers as r
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
@@ -70,7 +71,7 @@ def test_when_let_go_it_sinks(arm, follower, until):
 
 
 def test_what_lerobot_writes_is_in_the_servos(arm, follower):
-    memories = [servo.memory for servo in arm.world.servos.values()]
+    memories = list(arm.memories().values())
     assert {(m[r.P_COEFFICIENT], m[r.D_COEFFICIENT], m[r.TORQUE_ENABLE], m[r.LOCK]) for m in memories} == {
         (16, 32, 1, 1)
     }
@@ -90,12 +91,12 @@ def test_a_calibration_by_hand_finds_the_middle(arm, follower):
 
 
 def test_a_mute_servo_stops_the_loop_and_keeps_the_arm_from_connecting(arm, follower):
-    arm.faults.mute = frozenset({3})
+    arm.faults = Faults(mute=frozenset({3}))
     with pytest.raises(ConnectionError, match="There is no status packet"):
         follower.get_observation()
     with pytest.raises(ConnectionError, match="Torque_Enable"):
         follower.disconnect()
-    torque = [servo.memory[r.TORQUE_ENABLE] for servo in arm.world.servos.values()]
+    torque = [memory[r.TORQUE_ENABLE] for memory in arm.memories().values()]
     assert torque == [0, 0, 0, 1, 1, 1], "a mute servo hears; those after it were not asked"
     follower.bus.port_handler.closePort()
     with pytest.raises(RuntimeError, match="Missing motor IDs:\n  - 3 "):
@@ -103,23 +104,23 @@ def test_a_mute_servo_stops_the_loop_and_keeps_the_arm_from_connecting(arm, foll
 
 
 def test_a_corrupt_line_is_told_and_forgotten(arm, follower):
-    arm.faults.corrupt = 1.0
+    arm.faults = Faults(corrupt=1.0)
     with pytest.raises(ConnectionError, match="status packet"):
         follower.get_observation()
-    arm.faults.corrupt = 0.0
+    arm.faults = Faults()
     follower.bus.port_handler.ser.reset_input_buffer()
     assert set(follower.get_observation()) == set(GOAL)
 
 
 def test_a_slow_servo_is_not_waited_for(arm, follower):
-    arm.faults.slow_s = 0.5
+    arm.faults = Faults(slow_s=0.5)
     with pytest.raises(ConnectionError, match="There is no status packet"):
         follower.bus.read("Present_Load", "elbow_flex")
 
 
-def test_an_overload_shows_where_one_servo_is_asked_and_not_where_all_are(arm, follower):
-    arm.faults.overload = frozenset({6})
-    arm.world.step()
+def test_an_overload_shows_where_one_servo_is_asked_and_not_where_all_are(arm, follower, until):
+    arm.faults = Faults(overload=frozenset({6}))
+    until(lambda: arm.memories()[6][r.STATUS] != 0)
     with pytest.raises(RuntimeError, match="Overload error"):
         follower.bus.read("Present_Load", "gripper")
     follower.bus.read("Present_Load", "elbow_flex")
@@ -129,16 +130,16 @@ def test_an_overload_shows_where_one_servo_is_asked_and_not_where_all_are(arm, f
 
 
 def test_an_unplugged_arm_keeps_its_torque_and_can_be_plugged_in_again(arm, follower, until):
-    arm.faults.unplugged = True
+    arm.faults = Faults(unplugged=True)
     until(lambda: not Path(arm.port).exists())
     with pytest.raises(termios.error, match="Input/output error"):
         follower.get_observation()
     assert follower.is_connected, "lerobot does not notice"
     with pytest.raises(ConnectionError, match="Could not connect"):
         connected_again(arm)
-    assert all(servo.memory[r.TORQUE_ENABLE] for servo in arm.world.servos.values())
+    assert all(memory[r.TORQUE_ENABLE] for memory in arm.memories().values())
     follower.bus.port_handler.closePort()
-    arm.faults.unplugged = False
+    arm.faults = Faults()
     until(lambda: Path(arm.port).exists())
     robot = connected_again(arm)
     assert set(robot.get_observation()) == set(GOAL)
@@ -152,8 +153,17 @@ def test_nothing_is_left_behind():
         target = Path(arm.port).readlink()
         assert target.exists()
     assert not folder.exists()
-    with pytest.raises(RuntimeError, match="not open"):
-        _ = arm.port
+
+
+def test_a_task_without_a_scene_is_told_at_once():
+    with pytest.raises(UsageError, match="did you mean 'so100/T5'"), VirtualArm("so100/T55"):
+        pass
+
+
+def test_a_process_that_was_ended_is_told(arm):
+    arm._process._child.kill()
+    with pytest.raises(RuntimeError, match="has ended with -9"):
+        arm.state()
 
 
 def test_it_is_imported_without_anything_heavy():

@@ -129,7 +129,7 @@ def test_without_torque_it_sinks_and_a_goal_from_before_swings_it_back(raised):
 def test_a_jammed_joint_stays_and_after_two_seconds_its_servo_is_overloaded(raised):
     servo = raised.servos[IDS["elbow_flex"]]
     before = present(raised, "elbow_flex")
-    raised.faults.jam = frozenset({IDS["elbow_flex"]})
+    raised.faults = Faults(jam=frozenset({IDS["elbow_flex"]}))
     go(raised, {"elbow_flex": 60}, seconds=1.5)
     assert present(raised, "elbow_flex") == pytest.approx(before, abs=0.5)
     assert (servo.memory[r.PRESENT_LOAD], servo.error) == (1000, 0)
@@ -138,7 +138,7 @@ def test_a_jammed_joint_stays_and_after_two_seconds_its_servo_is_overloaded(rais
     servo.memory[r.TORQUE_ENABLE] = 0
     raised.step()
     assert servo.error == 0
-    raised.faults.jam = frozenset()
+    raised.faults = Faults()
     servo.memory[r.TORQUE_ENABLE] = 1
     go(raised, {"elbow_flex": 60})
     assert present(raised, "elbow_flex") == pytest.approx(60, abs=2.5)

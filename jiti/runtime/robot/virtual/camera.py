@@ -9,7 +9,8 @@ from lerobot.utils.decorators import check_if_already_connected, check_if_not_co
 
 from jiti.errors import UsageError
 from jiti.runtime.robot.virtual.config_camera import VirtualCameraConfig
-from jiti.runtime.robot.virtual.pictures import CAMERAS, FIRST_S, Pictures, by_port
+from jiti.runtime.robot.virtual.painter import CAMERAS
+from jiti.runtime.robot.virtual.pictures import FIRST_S, Pictures, by_port
 
 
 class VirtualCamera(Camera):

@@ -1,11 +1,11 @@
-"""What can be made to go wrong with a virtual arm, while it is in use."""
+"""What can be made to go wrong with a virtual arm."""
 
 from dataclasses import dataclass
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Faults:
-    """Attributes may be set from any thread, and hold from the next packet on. Servos go by their ids, 1 to 6."""
+    """From the next packet on. Servos go by their ids, 1 to 6."""
 
     mute: frozenset[int] = frozenset()
     """Servos that do not answer, as with a loose cable. They still hear."""

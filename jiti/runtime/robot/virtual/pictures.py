@@ -1,21 +1,18 @@
-"""What a virtual arm's cameras see, rendered by one thread for all of them, because a GL context belongs to a thread.
+"""What a virtual arm's cameras see, drawn by one thread for all of them. MuJoCo lets others run while it renders."""
 
-MuJoCo lets other threads run while it renders, so the servos answer meanwhile.
-"""
-
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 from threading import Condition, Thread
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from jiti.errors import UsageError
-from jiti.runtime.robot.virtual.world import World
+from jiti.runtime.robot.virtual.painter import CAMERAS, Painter
+from jiti.runtime.robot.virtual.world import Pose
 from jiti.runtime.sim.gl import Graphics, find_graphics, use
 
-CAMERAS = ("front", "wrist")
 FIRST_S = 30.0
 """How long a first picture may take. Our choice: to make a GL context takes seconds on a slow machine."""
 
@@ -43,10 +40,11 @@ class _Shot:
 
 
 class Pictures:
-    """The cameras of one world; the thread runs while any is on."""
+    """The cameras of one task's world; the thread runs while any is on."""
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, task_id: str, pose: Callable[[], Pose]) -> None:
+        """`pose` tells how the world is now."""
+        self._task_id, self._pose = task_id, pose
         self._changed = Condition()
         self._on: dict[str, _Shot] = {}
         self._thread: Thread | None = None
@@ -100,22 +98,15 @@ class Pictures:
             return shot.last
 
     def _run(self) -> None:
-        import mujoco
-
-        data = self._world.new_data()
-        renderers: dict[tuple[int, int], Any] = {}
+        painter = None
         try:
+            painter = Painter(self._task_id)
             while (next_one := self._next()) is not None:
                 camera, shot = next_one
-                size = shot.height, shot.width
-                if size not in renderers:
-                    renderers[size] = mujoco.Renderer(self._world.model, *size)
                 taken_s = perf_counter()
-                self._world.show(data)
-                renderers[size].update_scene(data, camera)
-                picture = Picture(renderers[size].render(), taken_s)
+                pixels = painter.paint(self._pose(), camera, width=shot.width, height=shot.height)
                 with self._changed:
-                    shot.last = picture
+                    shot.last = Picture(pixels, taken_s)
                     shot.due_s = max(shot.due_s + shot.period_s, taken_s)
                     self._changed.notify_all()
         except Exception as error:  # told to whoever waits for a picture
@@ -123,8 +114,8 @@ class Pictures:
                 self._failure = error
                 self._changed.notify_all()
         finally:
-            for renderer in renderers.values():
-                renderer.close()
+            if painter is not None:
+                painter.close()
 
     def _next(self) -> tuple[str, _Shot] | None:
         """Wait until a picture is due; None when no camera is on any more."""

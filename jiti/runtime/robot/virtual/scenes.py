@@ -53,7 +53,7 @@ def engine() -> Any:
 
 
 def load(task_id: str) -> Any:
-    """The compiled model of a task's scene. Raises UsageError for a task that has none."""
+    """The compiled model of a task's scene. Raises UsageError for a task that has none, or without MuJoCo."""
     if task_id not in SCENES:
         raise UsageError(f"the virtual arm has no scene for {task_id!r}; {nearest(task_id, SCENES)}")
     return engine().MjModel.from_xml_path(str(FOLDER / f"{task_id.removeprefix('so100/')}.xml"))

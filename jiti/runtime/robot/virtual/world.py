@@ -7,7 +7,6 @@ which is the same every time, or `advance` by a clock.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from threading import RLock
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,8 @@ CONTROL_S = 0.005
 """Between two decisions of a servo. Our choice: finer than any motion that it can make."""
 LONGEST_S = 0.25
 """Most that `advance` makes up for. When no one came for longer, the world stood still. Our choice."""
+AT_ONCE = 4
+"""Most steps of one `advance`, a millisecond of work, so that packets are not kept waiting. Our choice."""
 JAMMED = 1e4
 """Drag of a joint that does not move, in N m s/rad."""
 
@@ -50,6 +51,15 @@ class State:
     """How far each stands open, in metres."""
 
 
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """The same as MuJoCo has it, for a picture."""
+
+    qpos: np.ndarray
+    mocap_pos: np.ndarray
+    mocap_quat: np.ndarray
+
+
 class World:
     """One task's scene with the arm at rest in it, its torque off."""
 
@@ -60,7 +70,7 @@ class World:
         self.faults = faults or Faults()
         self.task_id = task_id
         self.model = load(task_id)
-        self.data = self.new_data()
+        self.data = self._mujoco.MjData(self.model)
         self._substeps = round(CONTROL_S / self.model.opt.timestep)
         self._qpos, self._dof, self.servos = [], [], {}
         for number, (name, mount) in enumerate(MOUNTS.items(), start=1):
@@ -89,14 +99,16 @@ class World:
                 self._mujoco.mj_step(self.model, self.data, nstep=self._substeps)
                 self._measure()
 
-    def advance(self, now_s: float) -> None:
-        """Let the world catch up with a clock, of which only the differences matter."""
+    def advance(self, now_s: float) -> bool:
+        """Let the world follow a clock, of which only the differences matter; whether it is still behind."""
         with self.lock:
             if self._until is None or now_s - self._until > LONGEST_S:
                 self._until = now_s
-            times = int((now_s - self._until) / CONTROL_S)
+            behind = int((now_s - self._until) / CONTROL_S)
+            times = min(behind, AT_ONCE)
             self._until += times * CONTROL_S
             self.step(times)
+            return behind > times
 
     def state(self) -> State:
         with self.lock:
@@ -106,18 +118,9 @@ class World:
             drawers = {self.model.joint(k).name: float(self.data.joint(k).qpos[0]) for k in slides}
             return State(self.data.time, angles, objects, drawers)
 
-    def new_data(self) -> Any:
-        """An `MjData` for `show`."""
-        return self._mujoco.MjData(self.model)
-
-    def show(self, data: Any) -> None:
-        """Bring another thread's `MjData` to where everything is, as far as a picture needs it."""
+    def pose(self) -> Pose:
         with self.lock:
-            data.qpos[:] = self.data.qpos
-            data.mocap_pos[:], data.mocap_quat[:] = self.data.mocap_pos, self.data.mocap_quat
-        self._mujoco.mj_kinematics(self.model, data)
-        self._mujoco.mj_comPos(self.model, data)
-        self._mujoco.mj_camlight(self.model, data)
+            return Pose(self.data.qpos.copy(), self.data.mocap_pos.copy(), self.data.mocap_quat.copy())
 
     def _pose(self, name: str) -> np.ndarray:
         body, pose = self.data.body(name), np.eye(4)
