@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from jiti.runtime.robot.virtual.packet import BROADCAST, Instruction, Parser, status
@@ -33,6 +33,7 @@ def test_one_with_a_wrong_byte_is_not_taken_and_costs_no_other(instruction, data
     wrong = bytearray(instruction.encode())
     place = data.draw(st.integers(4, len(wrong) - 1), "place")
     wrong[place] = (wrong[place] + data.draw(st.integers(1, 255), "by")) % 256
+    assume(b"\xff" not in wrong[2:])  # which might look like the header of another
     after = Instruction(1, 1)
     assert instruction not in Parser().feed(bytes(wrong))
     assert Parser().feed(bytes(wrong) + after.encode())[-1:] == [after]

@@ -4,11 +4,13 @@ What the tests expect of lerobot 0.6.1 is what it does with a real arm, good or 
 """
 
 import json
+import shutil
 import subprocess
 import sys
 import termios
 from pathlib import Path
 
+import psutil
 import pytest
 
 from jiti.errors import UsageError
@@ -164,6 +166,18 @@ def test_a_process_that_was_ended_is_told(arm):
     arm._process._child.kill()
     with pytest.raises(RuntimeError, match="has ended with -9"):
         arm.state()
+
+
+def test_it_ends_with_the_program_that_opened_it(until):
+    code = (
+        "import os\nfrom jiti.runtime.robot.virtual import VirtualArm\n"
+        "arm = VirtualArm().__enter__()\nprint(arm._process._child.pid, arm.calibration_dir, flush=True)\nos._exit(1)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    process, folder = done.stdout.split()
+    until(lambda: not psutil.pid_exists(int(process)) or psutil.Process(int(process)).status() == psutil.STATUS_ZOMBIE)
+    assert not (Path(folder) / "port").exists()
+    shutil.rmtree(folder)
 
 
 def test_it_is_imported_without_anything_heavy():
