@@ -58,6 +58,8 @@ def test_its_torque_keeps_to_both_limits(most, limit, share):
     assert servo.drive(angle, 0.005).limit_nm == pytest.approx(share * STALL_NM)
     servo.measure(angle, 0.0, 0.0, 0.005, weak=True)
     assert servo.drive(angle, 0.005).limit_nm == pytest.approx(min(share, 0.2) * STALL_NM)
+    servo.measure(angle, 0.0, 0.0, 0.005)
+    assert servo.drive(angle, 0.005).limit_nm == pytest.approx(share * STALL_NM)
 
 
 def test_it_counts_turns_when_its_phase_says_so():

@@ -62,7 +62,7 @@ class Servo:
         self._angle_rad = self._middle_rad
         self._powered = False
         self._at = self._speed = 0.0  # of the target on its way to the goal, in the joint's steps and steps/s
-        self._strained_s = 0.0
+        self._strained_s, self._overloaded = 0.0, False
 
     def power_up(self, angle_rad: float) -> None:
         """Begin at an angle, which is its goal until there is another."""
@@ -82,7 +82,10 @@ class Servo:
     def measure(
         self, angle_rad: float, speed_rad_s: float, torque_nm: float, dt_s: float, *, weak: bool = False
     ) -> None:
-        """Set what it reports, and watch for an overload: too much torque for too long. `weak` makes it so at once."""
+        """Set what it reports, and watch for an overload: too much torque for too long, until the torque is turned off.
+
+        `weak`: overloaded now, whatever the torque.
+        """
         memory, self._angle_rad = self.memory, angle_rad
         self._show_position()
         memory[r.PRESENT_VELOCITY] = round(speed_rad_s / STEP_RAD)
@@ -92,8 +95,9 @@ class Servo:
         memory[r.MOVING] = int(abs(speed_rad_s) > MOVING_FROM * STEP_RAD)
         strained = abs(load) >= memory[r.OVERLOAD_TORQUE] / 100
         self._strained_s = self._strained_s + dt_s if strained else 0.0
-        overloaded = self._strained_s >= memory[r.PROTECTION_TIME] / 100 or r.Error.OVERLOAD in self.error
-        memory[r.STATUS] = r.Error.OVERLOAD if weak or (overloaded and memory[r.TORQUE_ENABLE]) else 0
+        too_long = self._strained_s >= memory[r.PROTECTION_TIME] / 100
+        self._overloaded = bool(memory[r.TORQUE_ENABLE]) and (self._overloaded or too_long)
+        memory[r.STATUS] = r.Error.OVERLOAD if weak or self._overloaded else 0
 
     def drive(self, angle_rad: float, dt_s: float) -> Drive:
         """Move the target on towards the goal, and say how the motor pulls to it."""

@@ -26,7 +26,7 @@ MOUNTS = {
 FULL_TURN = "wrist_roll"
 """The joint that lerobot's calibration takes for one that turns all the way round."""
 REST_RAD = {"shoulder_lift": -1.745, "elbow_flex": 1.69, "wrist_flex": 0.6}
-"""Folded over its base, where it lies when the torque is off; the other joints are at 0. Our choice."""
+"""Folded over its base, as people leave it; the other joints are at 0. Our choice."""
 CONTROL_S = 0.005
 """Between two decisions of a servo. Our choice: finer than any motion that it can make."""
 LONGEST_S = 0.25
