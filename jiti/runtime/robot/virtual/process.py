@@ -1,7 +1,7 @@
 """A world with its line in a process of its own, so that nothing its user's program does keeps a packet waiting.
 
 In the user's process, a policy at work or lerobot's own waiting loop would hold the interpreter that is to answer. With
-four other programs on two cores lerobot then missed one packet in 300; of 360 answers of another process, none.
+four other programs on two cores lerobot then missed one answer in 200; of 360 from another process, none.
 """
 
 import os
