@@ -16,12 +16,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from jiti.errors import UsageError
-from jiti.runtime.sim.gl import Graphics
+from jiti.runtime.sim.gl import Graphics, use
 
 _GL = "MUJOCO_GL"
 """The environment variable that MuJoCo and robosuite take their GL library from."""
@@ -33,8 +32,8 @@ def import_robosuite(graphics: Graphics) -> ModuleType:
     A process that began without pictures may ask for them later.
     """
     if "robosuite" in sys.modules:
-        if graphics.backend and os.environ.get(_GL) != graphics.backend:
-            _change_backend(graphics.backend)
+        if graphics.backend:
+            use(graphics.backend)
         return sys.modules["robosuite"]
     _set_macros(find_robosuite() / "macros.py")
     # Without a handler of its own, Python would print what robosuite logs.
@@ -55,15 +54,6 @@ def import_robosuite(graphics: Graphics) -> ModuleType:
         if graphics.backend is None:
             os.environ.pop(_GL)
             os.environ.update({} if wish is None else {_GL: wish})
-
-
-def _change_backend(backend: str) -> None:
-    """Let MuJoCo's renderer choose its GL library anew; it does so once, when it is imported."""
-    import mujoco
-
-    os.environ[_GL] = backend
-    renderer: Any = sys.modules[mujoco.Renderer.__module__]
-    importlib.reload(renderer.gl_context)
 
 
 def find_robosuite() -> Path:

@@ -1,9 +1,11 @@
 """Which GL library MuJoCo renders with: found out in a process of its own, because a bad one ends the process."""
 
+import importlib
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from typing import Any
 
 BACKENDS = ("egl", "osmesa")
 """In this order: egl uses a graphics card where there is one, osmesa is always software."""
@@ -53,6 +55,16 @@ def find_graphics() -> Graphics:
     packages = " or ".join(f"`apt-get install {PACKAGES[b]}` ({b})" for b in backends if b in PACKAGES)
     remedy = f"On Debian, {packages} gives pictures." if packages else "Unset MUJOCO_GL to try egl, then osmesa."
     return Graphics(None, f"no GL library renders here ({'; '.join(failures)}): recording without pictures. {remedy}")
+
+
+def use(backend: str) -> None:
+    """Let MuJoCo render with this library from now on; it chooses one when it is imported, and here anew."""
+    if os.environ.get("MUJOCO_GL") == backend:
+        return
+    os.environ["MUJOCO_GL"] = backend
+    if "mujoco" in sys.modules:
+        renderer: Any = sys.modules[sys.modules["mujoco"].Renderer.__module__]
+        importlib.reload(renderer.gl_context)
 
 
 def _failure(backend: str) -> str | None:
