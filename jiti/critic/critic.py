@@ -189,7 +189,7 @@ def _folder(source: str | Path) -> Path:
 
 def _transformer(network: NetworkSettings, sizes: Sizes) -> Transformer:
     return Transformer(
-        features=sizes.features,
+        features=sizes.features * (1 + 2 * network.octaves),
         tokens=sizes.tokens,
         action=sizes.action,
         chunk=network.chunk,
@@ -203,6 +203,6 @@ def _transformer(network: NetworkSettings, sizes: Sizes) -> Transformer:
 def _of_trunk(
     trunk: Any, network: NetworkSettings, sizes: Sizes, limits: ActionRange, config: dict[str, Any]
 ) -> Critic:
-    q = QEnsemble(trunk, sizes.features, trunk.width, network.ensemble)
+    q = QEnsemble(trunk, sizes.features, trunk.width, network.ensemble, network.octaves)
     actor = Actor(sizes.features, sizes.action, network.chunk, network.actor_width)
     return Critic(q, actor, sizes, network, limits, config)

@@ -9,6 +9,8 @@ import torch  # noqa: TID253  imported by training and evaluation only, which ne
 from torch import Tensor, nn  # noqa: TID253
 from torch.nn import functional  # noqa: TID253
 
+from jiti.octaves import in_octaves
+
 LOG_STD_LEAST, LOG_STD_MOST = -5.0, 1.0
 """Limits of the actor's log standard deviation before tanh. Our choice, near those of SAC's authors (-20, 2)."""
 FEATURE_LIMIT = 10.0
@@ -141,8 +143,10 @@ class QEnsemble(nn.Module):
 
     scale: Tensor
 
-    def __init__(self, trunk: nn.Module, features: int, width: int, members: int) -> None:
+    def __init__(self, trunk: nn.Module, features: int, width: int, members: int, octaves: int = 0) -> None:
+        """`trunk` takes features in so many octaves."""
         super().__init__()
+        self.octaves = octaves
         self.normalize = Normalize(features)
         self.trunk = trunk
         self.hidden = StackedLinear(members, width, width)
@@ -156,7 +160,7 @@ class QEnsemble(nn.Module):
         """
         scaled, there = self.normalize(features)
         kept = chunks * mask[:, None, :, None]
-        seen = self.trunk(scaled, there, kept, mask)
+        seen = self.trunk(in_octaves(scaled, self.octaves), there, kept, mask)
         hidden = functional.gelu(self.hidden(seen))
         return self.value(hidden).float().view(-1, *chunks.shape[:2]) * self.scale
 

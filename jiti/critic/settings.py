@@ -48,6 +48,9 @@ class NetworkSettings:
     """Run code that comes with the backbone, which nvidia/Eagle2-1B needs."""
     gradient_checkpointing: bool = True
     """Of the backbone: less memory, a third more time. C.4."""
+    octaves: int = 0
+    """Octaves in which the built-in transformer also sees each normalized feature, as sine and cosine. Our choice: none
+    for the features of a policy; for places, whose spread over all tasks is some decimetres, millimetres decide."""
     width: int = 64
     """Of the built-in transformer's tokens and of the value heads. Our choice: for two cores."""
     depth: int = 1
@@ -60,6 +63,9 @@ class NetworkSettings:
     def __post_init__(self) -> None:
         for name in ("chunk", "ensemble", "width", "depth", "heads", "actor_width"):
             _within(f"network.{name}", getattr(self, name), 1, math.inf)
+        _within("network.octaves", self.octaves, 0, 16)
+        if self.octaves and self.backbone:
+            raise UsageError("network.octaves is for the built-in transformer: leave it out with network.backbone.")
         if self.width % self.heads:
             raise UsageError(f"network.width is {self.width}; it must be a multiple of network.heads, {self.heads}.")
 

@@ -3,6 +3,8 @@
 import torch  # noqa: TID253 - imported with the policy only
 from torch import Tensor, nn  # noqa: TID253
 
+from jiti.octaves import in_octaves
+
 _TIME_FEATURES = 16
 """Frequencies in which the flow's time is seen. Our choice."""
 
@@ -25,16 +27,13 @@ class Block(nn.Module):
 class FlowNetwork(nn.Module):
     """v(A^tau, tau, s): observation (B, O) and task (B, T) are encoded once, and the chunk (B, K, A) at each step."""
 
-    octaves: Tensor
     time_frequencies: Tensor
 
     def __init__(
         self, observed: int, tasks: int, chunk: int, actions: int, *, width: int, depth: int, frequencies: int
     ) -> None:
         super().__init__()
-        self.chunk, self.actions = chunk, actions
-        octaves = 2.0 ** torch.arange(1, frequencies + 1)
-        self.register_buffer("octaves", octaves, persistent=False)
+        self.chunk, self.actions, self.frequencies = chunk, actions, frequencies
         self.register_buffer("time_frequencies", torch.logspace(0, 2, _TIME_FEATURES), persistent=False)
         self.observation = nn.Linear(observed * (1 + 2 * frequencies), width)
         self.task = nn.Linear(tasks, width, bias=False)
@@ -47,9 +46,8 @@ class FlowNetwork(nn.Module):
 
     def encode(self, observed: Tensor, task: Tensor) -> Tensor:
         """(B, O), (B, T) -> (B, width)"""
-        turns = (observed.unsqueeze(-1) * self.octaves).flatten(-2)
-        seen = torch.cat([observed, turns.sin(), turns.cos()], dim=-1)
-        return self.encoder(nn.functional.silu(self.observation(seen) + self.task(task)))
+        seen = self.observation(in_octaves(observed, self.frequencies))
+        return self.encoder(nn.functional.silu(seen + self.task(task)))
 
     def forward(self, encoded: Tensor, noisy: Tensor, tau: Tensor) -> Tensor:
         """(B, width), (B, K, A), (B,) in 0 to 1 -> velocity (B, K, A)"""

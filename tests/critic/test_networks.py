@@ -31,6 +31,18 @@ def test_each_member_values_each_candidate_by_itself(q, inputs):
     assert not torch.allclose(values[0], values[1])
 
 
+def test_octaves_tell_apart_what_is_near(inputs):
+    features, chunks, mask = inputs
+    near = features + 1e-3
+
+    def change(octaves):
+        torch.manual_seed(0)
+        q = QEnsemble(Transformer(F * (1 + 2 * octaves), T, A, K, E, 8, 2, 2), F, 8, E, octaves)
+        return (q(near, chunks, mask) - q(features, chunks, mask)).abs().mean()
+
+    assert change(8) > 5 * change(0)
+
+
 def test_what_the_mask_leaves_out_has_no_influence_and_the_rest_has(q, inputs):
     features, chunks, mask = inputs
     cut = mask.clone()

@@ -37,6 +37,7 @@ def test_a_file_and_what_is_saved_beside_a_checkpoint_are_read_back(tmp_path):
         ("[run]\nsteps = true\n", "line 2: run.steps is True; it must be a whole number"),
         ("[loss]\nalpha = -1\n", "line 1: loss.alpha is -1; it must be at least 0"),
         ("[loss]\nvariant = 'mine'\n", "loss.variant is 'mine'; it must be one of: paper, public"),
+        ('[network]\noctaves = 2\nbackbone = "some/model"\n', "network.octaves is for the built-in transformer"),
         ("[network]\nwidth = 30\n", "network.width is 30; it must be a multiple of network.heads"),
         ("[run]\nseed = 4294967296\n", "line 1: run.seed is 4294967296; it must be from 0 to 4294967295"),
         ("steps = 5\n", r"there is no section \[steps\]"),
