@@ -696,7 +696,7 @@ def rollout(
     ] = None,
     pick: Annotated[PickRank, typer.Option("--pick", help="Of the candidates, by the critic's value.")] = PickRank.best,
     candidates: Annotated[int, typer.Option("--candidates", min=1, help="N, the default chunk among them.")] = 8,
-    window: Annotated[int, typer.Option("--window", min=1, help="k, values in the mean that a jump is from.")] = 5,
+    window: Annotated[int, typer.Option("--window", min=1, help="k, values in the mean that a jump is from.")] = 2,
     tau: Annotated[
         float | None, typer.Option("--tau", min=0.0, help="Threshold of a jump. Default: as it was calibrated.")
     ] = None,

@@ -35,7 +35,7 @@ class JitiConfig(PreTrainedConfig):
     pick: str = "best"
     """best, median, worst or random."""
     candidates: int = 8
-    window: int = 5
+    window: int = 2
     tau: float | None = None
     """Threshold on delta_q, in the unit of Q; `jiti` alone needs it."""
     seed: int = 0
