@@ -1,10 +1,10 @@
 """Which action is due while the next chunk is still being computed.
 
 Let the arm have executed p actions when it was observed, and action i of the chunk that is decided on that observation
-is the one for p + i. When the chunk arrives, actions that were executed meanwhile are over, and it goes on behind them.
-Where the arm had nothing left to execute it was held, and time stood still for it: nothing is over then, so that a slow
-policy loses time and no motion. (lerobot's `ActionQueue` drops by the clock; with latencies above a chunk's length all of
-every chunk would be over.)
+is the one for p + i. When the chunk arrives, actions that were executed meanwhile are over, and it goes on behind
+them. Where the arm had nothing left to execute it was held, and time stood still for it: nothing is over then, so that
+a slow policy loses time and no motion. (lerobot's `ActionQueue` drops by the clock; with latencies above a chunk's
+length all of every chunk would be over.)
 
 A decision is begun `execute` actions after the one before, and late decisions at once. With chunks of H actions the arm
 is not held as long as a decision takes no more than `execute` <= H / 2 steps, or H / 2 where it is late.

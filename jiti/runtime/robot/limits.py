@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from jiti.errors import RobotError
 
 if TYPE_CHECKING:
-    from lerobot.motors import MotorsBus
+    from lerobot.motors.feetech import FeetechMotorsBus
 
 GRIPPER = "gripper"
 Joints = Mapping[str, float]
@@ -40,7 +40,9 @@ class Limits:
         if missing := [name for name in self.low if name not in asked]:
             raise RobotError(f"an action lacks {', '.join(missing)}: the policy is of another robot. Pass its own.")
         if unknown := [name for name in asked if name not in self.low]:
-            raise RobotError(f"an action has {', '.join(unknown)}, which this arm has not: pass a policy of this robot.")
+            raise RobotError(
+                f"an action has {', '.join(unknown)}, which this arm has not: pass a policy of this robot."
+            )
         for name in self.low:
             if not isfinite(asked[name]):
                 raise RobotError(
@@ -54,7 +56,7 @@ class Limits:
         return Checked(goal, tuple(name for name in goal if goal[name] != asked[name]))
 
 
-def limits_of(bus: "MotorsBus", max_step: float) -> Limits:
+def limits_of(bus: "FeetechMotorsBus", max_step: float) -> Limits:
     """The ranges that a calibration gives, in lerobot's degrees: 360 for all steps of the encoder but one."""
     low, high = {}, {}
     for name, motor in bus.motors.items():

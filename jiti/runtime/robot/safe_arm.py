@@ -1,4 +1,4 @@
-"""lerobot's SO100 or SO101 follower, opened, moved and let go in an order in which it makes no move that no one asked for.
+"""lerobot's SO100 or SO101 follower, opened, moved and let go without a move that no one asked for.
 
     with SafeArm(settings) as arm:   # at rest: it can be read, and moved by hand
         arm.engage()                 # stays where it is, with torque
@@ -27,6 +27,7 @@ from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.watchdog import Watchdog
 
 if TYPE_CHECKING:
+    from lerobot.cameras import CameraConfig
     from lerobot.robots.so_follower import SOFollower
 
 TRIES = 3
@@ -39,8 +40,16 @@ Say = Callable[[str], None]
 class SafeArm:
     """Its methods are for one thread; the watchdog's thread shares the line with it."""
 
-    def __init__(self, settings: RobotSettings, *, dry: bool = False, say: Say = print) -> None:
-        """With `dry`, nothing at all is written to the arm. `say` is told what a person is to do."""
+    def __init__(
+        self,
+        settings: RobotSettings,
+        *,
+        cameras: "dict[str, CameraConfig] | None" = None,
+        dry: bool = False,
+        say: Say = print,
+    ) -> None:
+        """`cameras` are taken instead of those of the settings. With `dry`, nothing at all is written to the arm. `say`
+        is told what a person is to do."""
         from lerobot.robots.so_follower import SO100Follower, SO100FollowerConfig
 
         folder = Path(settings.calibration_dir).expanduser() if settings.calibration_dir else None
@@ -50,13 +59,15 @@ class SafeArm:
                 port=settings.port,
                 id=settings.id,
                 calibration_dir=folder,
-                cameras=settings.camera_configs(),
+                cameras=settings.camera_configs() if cameras is None else cameras,
                 num_read_retries=0,
             )
         )
         self._bus = self.robot.bus
         self.joints = tuple(self._bus.motors)
         self.engaged = False
+        self.goal: dict[str, float] = {}
+        """Where it was sent last, by joint."""
         self.overloads: dict[str, int] = dict.fromkeys(self.joints, 0)
         """Looks at a servo, each five times a second, at which it said that it is overloaded."""
         self.misread = 0
@@ -118,7 +129,7 @@ class SafeArm:
     def engage(self) -> None:
         """Turn the torque on where the arm is: its positions become its goals first. Raises RobotError."""
         if self.dry:
-            self._goal = self._read()
+            self.goal = self._read()
             return
         self._given_up = ""
         with self._line, self._explained("cannot be engaged"):
@@ -126,7 +137,7 @@ class SafeArm:
             positions = self._bus.sync_read("Present_Position", normalize=False, num_retry=servos.TRIES)
             for name, position in positions.items():
                 self._bus.write("Goal_Position", name, position, normalize=False, num_retry=servos.TRIES)
-            self._goal = self._read()
+            self.goal = self._read()
             self.engaged = True
             self._bus.enable_torque(num_retry=servos.TRIES)
         self._watchdog.start()
@@ -162,14 +173,14 @@ class SafeArm:
         """Go to a place (degrees by joint), as far as the limits allow. Raises RobotError for what is no place, then
         without sending anything, or when the cable is out."""
         self._check_watchdog()
-        checked = self.limits.check(asked, self._goal)
+        checked = self.limits.check(asked, self.goal)
         self._send(checked.goal)
         return checked
 
     def hold(self) -> None:
         """Stay at the last goal: what to send when there is nothing to send. Raises RobotError."""
         self._check_watchdog()
-        self._send(self._goal)
+        self._send(self.goal)
 
     def release(self) -> None:
         """Take the torque from every servo. Raises RobotError that names those that did not confirm it."""
@@ -188,10 +199,10 @@ class SafeArm:
         """Hold the arm where it is, then release it. Raises RobotError like `release`."""
         self._watchdog.stop()
         if self.engaged:
-            with self._line:
+            with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
                 servos.freeze(self._bus)
-            self._say(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
-            sleep(self.settings.release_after_s)
+                self._say(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
+                sleep(self.settings.release_after_s)
         self.release()
 
     def _let_go(self) -> list[str]:
@@ -233,7 +244,7 @@ class SafeArm:
                     self.robot.send_action({f"{name}.pos": angle for name, angle in goal.items()})
             except servos.CABLE_OUT as error:
                 raise self._cable_out() from error
-        self._goal = dict(goal)
+        self.goal = dict(goal)
         self._watchdog.feed()
 
     def _read(self) -> dict[str, float]:
@@ -248,13 +259,13 @@ class SafeArm:
             return
         now = monotonic()
         for name, position in positions.items():
-            lag = abs(position - self._goal[name])
+            lag = abs(position - self.goal[name])
             if name == GRIPPER or lag <= self.settings.max_lag:
                 self._behind_s.pop(name, None)
             elif now - self._behind_s.setdefault(name, now) > self.settings.lag_s:
                 raise RobotError(
-                    f"{servos.told(self._bus, [name])} stays {lag:.0f} degrees from where it was sent. Free what blocks "
-                    "it, or check its horn and its gear."
+                    f"{servos.told(self._bus, [name])} stays {lag:.0f} degrees from where it was sent. Free what "
+                    "blocks it, or check its horn and its gear."
                 )
 
     def _look_at(self, name: str) -> None:
@@ -280,7 +291,7 @@ class SafeArm:
             raise RobotError(self._given_up)
 
     def _hold_by_watchdog(self) -> None:
-        with self._line:
+        with suppress(*servos.CABLE_OUT), self._line:
             servos.freeze(self._bus)
         after_s = self.settings.release_after_s
         self._say(f"No command for {self.settings.hold_after_s:g} s: the arm is held, and let go in {after_s:g} s.")

@@ -27,16 +27,14 @@ def settle(bus: "FeetechMotorsBus") -> None:
 
 
 def freeze(bus: "FeetechMotorsBus") -> None:
-    """Make of every servo's position its goal; those that do not answer keep the goal that they have."""
-    settle(bus)
+    """Make of every servo's position its goal; those that do not answer keep the goal that they have.
+
+    Raises what means that the cable is out.
+    """
     positions: dict[str, float] = {}
     for name in bus.motors:
-        with suppress(*SILENT):
-            # Of one servo; unlike `read`, it does not mind an overload.
-            positions |= bus.sync_read("Present_Position", [name], normalize=False, num_retry=1)
-            continue
-        settle(bus)
-    with suppress(*SILENT):
+        positions |= _position(bus, name)
+    with suppress(ConnectionError):
         if positions:
             bus.sync_write("Goal_Position", positions, normalize=False)
 
@@ -67,18 +65,18 @@ def _confirmed(bus: "FeetechMotorsBus", name: str) -> bool:
 
 
 def mute(bus: "FeetechMotorsBus") -> list[str]:
-    """Servos that do not answer."""
-    settle(bus)
-    return [name for name in bus.motors if not _answers(bus, name)]
+    """Servos that do not answer. Raises what means that the cable is out."""
+    return [name for name in bus.motors if not _position(bus, name)]
 
 
-def _answers(bus: "FeetechMotorsBus", name: str) -> bool:
+def _position(bus: "FeetechMotorsBus", name: str) -> dict[str, float]:
+    """Of one servo, in its steps; empty where it does not answer."""
     for _ in range(3):
-        with suppress(ConnectionError):
-            bus.sync_read("Present_Position", [name], normalize=False)
-            return True
         settle(bus)
-    return False
+        with suppress(ConnectionError):
+            # Unlike `read`, it does not mind an overload.
+            return bus.sync_read("Present_Position", [name], normalize=False)
+    return {}
 
 
 def told(bus: "FeetechMotorsBus", names: Iterable[str]) -> str:

@@ -39,8 +39,8 @@ class RobotSettings:
     than a moving arm lags behind, less than a push that bends something."""
     lag_s: float = 1.0
     lost_s: float = 0.5
-    """For how long the arm may not be read before it is given up. Our choice: a corrupt packet is nothing, fifteen steps
-    without an answer are a cable."""
+    """For how long the arm may not be read before it is given up. Our choice: a corrupt packet is nothing, fifteen
+    steps without an answer are a cable."""
     hold_after_s: float = 0.5
     """Without a command for so long, the arm is held where it is. Our choice: fifteen steps."""
     release_after_s: float = 2.0

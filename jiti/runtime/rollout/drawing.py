@@ -14,7 +14,7 @@ import numpy as np
 
 from jiti.durable import replacing
 from jiti.runtime.rollout.chunk_path import chunk_path
-from jiti.runtime.rollout.play import Decided
+from jiti.runtime.rollout.decide import Decided
 
 if TYPE_CHECKING:
     import rerun as rr
