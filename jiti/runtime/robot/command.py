@@ -15,7 +15,7 @@ from jiti.runtime.robot.report import RobotReport
 from jiti.runtime.robot.run import AfterEpisode, Runner
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
-from jiti.runtime.robot.stops import Stopped, Stops
+from jiti.runtime.robot.stops import Stops
 from jiti.runtime.robot.tick import Arrived, Tick, Watcher
 from jiti.runtime.robot.virtual import VirtualArm
 from jiti.runtime.rollout.plan import label_of, parse_guidance
@@ -56,14 +56,11 @@ class RobotRequest:
 
 @dataclass(frozen=True)
 class Ran:
-    """What is to be printed, and what ended it before its time."""
+    """What is to be printed."""
 
     report: RobotReport
     problem: Exception | None
-
-    @property
-    def exit_code(self) -> int:
-        return self.problem.exit_code if isinstance(self.problem, Stopped) else int(self.problem is not None)
+    """What ended it before its time: Stopped, or an error."""
 
 
 def run_robot(
@@ -130,7 +127,7 @@ def _task(request: RobotRequest, catalogue: Catalogue) -> Task:
 
 
 def _guidance(request: RobotRequest) -> Guidance:
-    wanted: tuple[str, ...] = request.guidance or (("jiti",) if request.critic else ("none",))
+    wanted = list(request.guidance) or ["jiti" if request.critic else "none"]
     if len(wanted) > 1:
         raise UsageError("an arm plays one guidance at a time: pass one --guidance.")
     method, pick = parse_guidance(wanted[0], request.pick)
