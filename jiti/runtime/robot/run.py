@@ -89,16 +89,8 @@ class Runner:
                         go_back(arm, self.stops, rest)
                     arm.release()
                 except BaseException as error:
-                    _stop(arm, error)
+                    arm.stop(error)
                     raise
         except Exception as error:
             return error
         return None
-
-
-def _stop(arm: SafeArm, error: BaseException) -> None:
-    """Raises RobotError that tells both, where the arm cannot be let go either."""
-    try:
-        arm.stop()
-    except RobotError as worse:
-        raise RobotError(f"{error} {worse}") from error

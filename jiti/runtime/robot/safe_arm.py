@@ -16,6 +16,7 @@ from itertools import cycle
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
+from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from jiti.errors import RobotError
@@ -34,6 +35,8 @@ TRIES = 3
 """At a reading, within a step: a damaged packet costs 4 ms, an answer that does not come 50. Our choice."""
 WRITE_S = 0.5
 """In which the port must take a packet. Our choice: a packet takes 0.3 ms."""
+LOOK_S = 0.2
+"""How often a cable that is out is looked for."""
 Say = Callable[[str], None]
 
 
@@ -92,10 +95,12 @@ class SafeArm:
             raise
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         try:
             if self.engaged:
-                self.stop()
+                self.stop(error)
         finally:
             self._close()
 
@@ -195,47 +200,56 @@ class SafeArm:
                 "power off; then check the cable to that servo."
             )
 
-    def stop(self) -> None:
-        """Hold the arm where it is, then release it. Raises RobotError like `release`."""
+    def stop(self, because: BaseException | None = None) -> None:
+        """Hold the arm where it is, then release it. Raises RobotError like `release`, which then also tells what the
+        arm was stopped for."""
         self._watchdog.stop()
         if self.engaged:
             with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
                 servos.freeze(self._bus)
                 self._say(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
                 sleep(self.settings.release_after_s)
-        self.release()
+        try:
+            self.release()
+        except RobotError as worse:
+            raise RobotError(f"{because} {worse}") from because if because else worse
 
     def _let_go(self) -> list[str]:
         """Names of servos that did not confirm it. A cable that is out is waited for."""
-        end, waiting = monotonic() + self.settings.replug_s, False
+        end = monotonic() + self.settings.replug_s
         while True:
             try:
                 with self._line:
                     return servos.turn_off(self._bus)
-            except servos.CABLE_OUT as error:
-                if monotonic() > end:
-                    raise RobotError(
-                        f"{self.settings.port} did not come back: all servos may still have torque. Hold the arm, and "
-                        "switch its power off."
-                    ) from error
-            if not waiting:
-                self._say(
-                    f"{self.settings.port} is gone, and the servos keep their torque. Plug the cable in again within "
-                    f"{self.settings.replug_s:g} s, or hold the arm and switch its power off."
-                )
-                waiting = True
-            sleep(0.2)
-            self._open_again()
+            except servos.CABLE_OUT:
+                self._wait_for_cable(end)
 
-    def _open_again(self) -> None:
-        with suppress(RobotError, *servos.CABLE_OUT):
-            with suppress(*servos.CABLE_OUT):
-                self._bus.port_handler.closePort()
+    def _wait_for_cable(self, end: float) -> None:
+        port = self.settings.port
+        self._say(
+            f"{port} is gone, and the servos keep their torque. Plug the cable in again within "
+            f"{self.settings.replug_s:g} s, or hold the arm and switch its power off."
+        )
+        while monotonic() < end:
+            sleep(LOOK_S)
+            if self._opened_again():
+                return
+        raise RobotError(
+            f"{port} did not come back: all servos may still have torque. Hold the arm, and switch its power off."
+        )
+
+    def _opened_again(self) -> bool:
+        with suppress(*servos.CABLE_OUT):
+            self._bus.port_handler.closePort()
+        try:
             new = PortLock(self.settings.port)
             self._lock.release()
             self._lock = new
             self._bus.port_handler.openPort()
-            self._bus.port_handler.ser.write_timeout = WRITE_S
+        except (RobotError, *servos.CABLE_OUT):
+            return False
+        self._bus.port_handler.ser.write_timeout = WRITE_S
+        return True
 
     def _send(self, goal: Joints) -> None:
         if not self.dry:
