@@ -767,9 +767,7 @@ def rollout(
     """
     if robot is not None or robot_config is not None or port is not None:
         if branch is not None or calibrate_tau is not None:
-            raise UsageError(
-                "--branch and --calibrate-tau are for simulation: leave them out, or --robot and --port."
-            )
+            raise UsageError("--branch and --calibrate-tau are for simulation: leave them out, or --robot and --port.")
         _play_on_robot(
             {"kind": robot and robot.value, "port": port, "id": robot_id},
             robot_config,

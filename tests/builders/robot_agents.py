@@ -27,29 +27,29 @@ class Sweeping:
     """Turns the first joint to and fro, and leaves the others where they are."""
 
     noise_shape = (CHUNK, JOINTS)
-    chunk = executed = CHUNK
     history = 1
 
-    def __init__(self, *, slow: float = 1.0) -> None:
+    def __init__(self, *, slow: float = 1.0, chunk: int = CHUNK) -> None:
         """`slow`: multiple of what SmolVLA takes."""
+        self.chunk = self.executed = chunk
         self.slow, self._way = slow, 1.0
 
     def observe(self, observation: Observation, instruction: str, before: Sequence[Observation] = ()) -> "SeenSweep":
         state = observation["observation.state"]
         if not ENDS[0] < state[0] < ENDS[1]:
             self._way = -float(np.sign(state[0]))
-        return SeenSweep(state, self._way, self.slow)
+        return SeenSweep(state, self._way, self.slow, self.chunk)
 
 
 class SeenSweep:
-    def __init__(self, state: np.ndarray, way: float, slow: float) -> None:
-        self._state, self._way, self._slow, self._looked = state, way, slow, False
+    def __init__(self, state: np.ndarray, way: float, slow: float, chunk: int = CHUNK) -> None:
+        self._state, self._way, self._slow, self._chunk, self._looked = state, way, slow, chunk, False
 
     def sample(self, noise: np.ndarray) -> np.ndarray:
         sleep(self._slow * (len(noise) * EACH_S + (0.0 if self._looked else ONE_S - EACH_S)))
         self._looked = True
-        chunks = np.tile(self._state, (len(noise), CHUNK, 1))
-        chunks[:, :, 0] += self._way * STEP * np.arange(1, CHUNK + 1)
+        chunks = np.tile(self._state, (len(noise), self._chunk, 1))
+        chunks[:, :, 0] += self._way * STEP * np.arange(1, self._chunk + 1)
         return chunks
 
 
@@ -103,17 +103,26 @@ def quick(brain: Brain, observation: Observation) -> Agent:
     return Agent(Sweeping(slow=0.1), EveryThird())
 
 
+def ten_actions(brain: Brain, observation: Observation) -> Agent:
+    return Agent(Sweeping(chunk=10), EveryThird())
+
+
+def short_chunks(brain: Brain, observation: Observation) -> Agent:
+    """Of four actions, an eighth of a second, for which full guidance takes nearly half a second."""
+    return Agent(Sweeping(chunk=4), EveryThird())
+
+
 def nan(brain: Brain, observation: Observation) -> Agent:
-    return Agent(Spoilt("nan"))
+    return Agent(Spoilt("nan"), EveryThird())
 
 
 def far(brain: Brain, observation: Observation) -> Agent:
-    return Agent(Spoilt("far"))
+    return Agent(Spoilt("far"), EveryThird())
 
 
 def stall(brain: Brain, observation: Observation) -> Agent:
-    return Agent(Spoilt("stall"))
+    return Agent(Spoilt("stall"), EveryThird())
 
 
 def crash(brain: Brain, observation: Observation) -> Agent:
-    return Agent(Spoilt("crash"))
+    return Agent(Spoilt("crash"), EveryThird())

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jiti.durable import make_folder
 from jiti.errors import UsageError
@@ -22,6 +22,9 @@ from jiti.runtime.rollout.plan import label_of, parse_guidance
 from jiti.runtime.workers import alone
 from jiti.tasks.catalogue import Catalogue
 from jiti.tasks.task import Task
+
+if TYPE_CHECKING:
+    from lerobot.cameras import CameraConfig
 
 FOLDER = Path("rollouts")
 SECONDS = 30.0
@@ -70,8 +73,10 @@ def run_robot(
     *,
     make_agent: OpenAgent = open_agent,
     after_episode: AfterEpisode = lambda _recorded: None,
+    cameras: "dict[str, CameraConfig] | None" = None,
 ) -> Ran:
-    """Play episodes on an arm, which has no torque afterwards, whatever happened; what was recorded is kept.
+    """Play episodes on an arm, which has no torque afterwards, whatever happened; what was recorded is kept. `cameras`
+    are taken instead of those of the settings.
 
     Raises UsageError for what does not fit together or is missing, RobotError for an arm that cannot begin.
     """
@@ -86,7 +91,7 @@ def run_robot(
         make_folder(folder)
         stack.enter_context(alone(folder, "jiti rollout"))
         inference = stack.enter_context(Inference(brain, make_agent))
-        arm = stack.enter_context(_arm(request, task, stack, say))
+        arm = stack.enter_context(_arm(request, task, stack, say, cameras))
         seeds = range(first, first + (request.episodes or 1))
 
         def recording(seed: int) -> Recording:
@@ -109,15 +114,17 @@ def run_robot(
     return Ran(report, problem)
 
 
-def _arm(request: RobotRequest, task: Task, stack: ExitStack, say: Say) -> SafeArm:
+def _arm(
+    request: RobotRequest, task: Task, stack: ExitStack, say: Say, cameras: "dict[str, CameraConfig] | None"
+) -> SafeArm:
     settings = request.settings
     if not settings.port:
         raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
-    if settings.port != VIRTUAL:
-        return SafeArm(settings, dry=request.dry_run, say=say)
-    virtual = stack.enter_context(VirtualArm(task.task_id, seed=request.seed or 0))
-    settings = replace(settings, port=virtual.port, id=virtual.id, calibration_dir=str(virtual.calibration_dir))
-    return SafeArm(settings, dry=request.dry_run, say=say, cameras=virtual.cameras() if not settings.cameras else None)
+    if settings.port == VIRTUAL:
+        virtual = stack.enter_context(VirtualArm(task.task_id, seed=request.seed or 0))
+        settings = replace(settings, port=virtual.port, id=virtual.id, calibration_dir=str(virtual.calibration_dir))
+        cameras = cameras or virtual.cameras()
+    return SafeArm(settings, dry=request.dry_run, say=say, cameras=cameras)
 
 
 def _task(request: RobotRequest, catalogue: Catalogue) -> Task:

@@ -192,8 +192,10 @@ class SafeArm:
         self._watchdog.stop()
         if not self.engaged:
             return
-        silent = self._let_go()
-        self.engaged = False
+        try:
+            silent = self._let_go()
+        finally:
+            self.engaged = False
         if silent:
             raise RobotError(
                 f"{servos.told(self._bus, silent)} did not say that its torque is off. Hold the arm, and switch its "
@@ -290,9 +292,10 @@ class SafeArm:
         except RuntimeError as error:
             self.overloads[name] += 1
             if name != GRIPPER:  # which overloads when it holds a thing for long, and keeps holding it
+                what = str(error).rpartition("]")[2].strip(" !").lower()
                 raise RobotError(
-                    f"{servos.told(self._bus, [name])} reports: {_own_words(error)}. Take the load off it, let it cool "
-                    "down, and check its voltage."
+                    f"{servos.told(self._bus, [name])} reports an {what}. Free it, let it cool down, and check its "
+                    "voltage."
                 ) from error
         except ConnectionError:
             self.misread += 1
