@@ -2,11 +2,11 @@
 
     uv run python benchmarks/so100.py --json figures.json
 
-lerobot's own driver on the virtual arm, with both of its cameras, recording to MCAP, for a minute each. Policy and critic
-are arithmetic that sleeps as long as SmolVLA took (supplement G.6): 112 ms for a chunk of 50 actions, 449 ms for eight;
-JITI looks at all eight at every third decision. The last line has chunks of 10 actions, which are shorter than such a
-decision: there the arm must wait. The virtual cameras are rendered by this machine's processor, which real ones are not
-(`--no-cameras` leaves them out).
+lerobot's own driver on the virtual arm, recording to MCAP, for a minute each. Policy and critic are arithmetic that
+sleeps as long as SmolVLA took (supplement G.6): 112 ms for a chunk of 50 actions, 449 ms for eight; JITI looks at all
+eight at every third decision. "short chunks" have 10 actions, which are over before such a decision: there the arm must
+wait. Both virtual cameras are there in the lines that say so; this machine's processor renders them in the loop's own
+process, which nothing does for real ones.
 """
 
 import argparse
@@ -35,13 +35,16 @@ KINDS = {
     "jiti": ("jiti", robot_agents.smolvla),
     "full": ("full", robot_agents.smolvla),
     "full, short chunks": ("full", robot_agents.ten_actions),
+    "none, cameras": ("none", robot_agents.smolvla),
+    "jiti, cameras": ("jiti", robot_agents.smolvla),
 }
 
 
 def measure(bench: Bench, asked: argparse.Namespace) -> Iterator[Line]:
-    for name, (guidance, agent) in KINDS.items():
+    for name in asked.only or KINDS:
+        guidance, agent = KINDS[name]
         with bench.folder() as folder, VirtualArm(TASK) as arm:
-            cameras = {} if asked.no_cameras else arm.cameras(width=320, height=240)
+            cameras = arm.cameras(width=320, height=240) if "cameras" in name else {}
             settings = RobotSettings(port=arm.port, id=arm.id, calibration_dir=str(arm.calibration_dir))
             request = RobotRequest(
                 settings, TASK, "policy", "critic", (guidance,), tau=0.5, seconds=bench.count(60, 3), out=folder
@@ -79,6 +82,6 @@ def _latency(name: str, what: str, found: Latency, episode: EpisodeSummary) -> I
 
 if __name__ == "__main__":
     parser = arguments(__doc__)
-    parser.add_argument("--no-cameras", action="store_true", help="the arm alone")
+    parser.add_argument("--only", choices=KINDS, action="append", help="may be repeated")
     asked = parser.parse_args()
     run(asked, lambda bench: measure(bench, asked))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jiti.errors import RobotError
 from jiti.runtime.robot.inference import Facts, Inference
-from jiti.runtime.robot.loop import go_back, run_episode
+from jiti.runtime.robot.loop import go_back, prompt, run_episode
 from jiti.runtime.robot.recording import Recording
 from jiti.runtime.robot.report import EpisodeSummary, summarize
 from jiti.runtime.robot.safe_arm import SafeArm
@@ -80,7 +80,7 @@ class Runner:
         arm = self.arm
         try:
             self.inference.begin(seed)
-            with self.stops.guarded():
+            with self.stops.guarded(), prompt():
                 try:
                     arm.engage()
                     rest = dict(arm.goal)
