@@ -10,6 +10,7 @@ from jiti.durable import make_folder
 from jiti.errors import UsageError
 from jiti.runtime.guidance import CANDIDATES, WINDOW, Guidance, Pick
 from jiti.runtime.robot.inference import Brain, Inference, OpenAgent, open_agent
+from jiti.runtime.robot.live import LiveArm
 from jiti.runtime.robot.recording import Recording
 from jiti.runtime.robot.report import RobotReport
 from jiti.runtime.robot.run import AfterEpisode, Runner
@@ -18,7 +19,10 @@ from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
 from jiti.runtime.robot.stops import Stops
 from jiti.runtime.robot.tick import Arrived, Tick, Watcher
 from jiti.runtime.robot.virtual import VirtualArm
+from jiti.runtime.rollout.live import SHOWN_SUFFIX
 from jiti.runtime.rollout.plan import label_of, parse_guidance
+from jiti.runtime.rollout.result import RECORDING_SUFFIX
+from jiti.runtime.rollout.viewer import Viewer
 from jiti.runtime.workers import alone
 from jiti.tasks.catalogue import Catalogue
 from jiti.tasks.task import Task
@@ -94,10 +98,20 @@ def run_robot(
         arm = stack.enter_context(_arm(request, task, stack, say, cameras))
         seeds = range(first, first + (request.episodes or 1))
 
+        viewer = Viewer(say) if request.live else None
+        if viewer is not None:
+            stack.callback(viewer.close)
+
         def recording(seed: int) -> Recording:
-            path = folder / label / f"{task.task_id.replace('/', '-')}_{seed:04d}.mcap" if request.record else None
+            path = folder / label / f"{task.task_id.replace('/', '-')}_{seed:04d}{RECORDING_SUFFIX}"
             about = {"task": task.task_id, "robot": request.settings.kind, "guidance": label, "seed": str(seed)}
-            return Recording(path, arm.joints, tuple(arm.robot.cameras), instruction=task.instruction, about=about)
+            names = tuple(arm.robot.cameras)
+            shown = None
+            if viewer is not None:
+                make_folder(path.parent)
+                shown = LiveArm(path.with_suffix(SHOWN_SUFFIX), viewer.address, arm.joints, names, guidance.tau)
+            kept = path if request.record else None
+            return Recording(kept, arm.joints, names, instruction=task.instruction, about=about, shown=shown)
 
         runner = Runner(arm, inference, stops, task, label, recording, after_episode)
         if request.dry_run:
@@ -111,6 +125,8 @@ def run_robot(
         report = RobotReport(
             task.task_id, request.settings.kind, label, taken, done, arm.misread, arm.overloads, folder
         )
+        if viewer is not None:
+            viewer.wait()
     return Ran(report, problem)
 
 

@@ -19,6 +19,7 @@ from jiti.durable import replacing
 from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.episodes.mcap_writer import McapWriter
 from jiti.errors import RobotError
+from jiti.runtime.robot.live import LiveArm
 from jiti.runtime.robot.tick import Arrived, Tick, Watcher, state_of
 from jiti.runtime.rollout.recorder import write_decision
 from jiti.runtime.rollout.result import choice_of, without_nan
@@ -43,9 +44,9 @@ class Recording(Watcher):
         *,
         instruction: str = "",
         about: Mapping[str, str] | None = None,
-        shown: Any = None,
+        shown: LiveArm | None = None,
     ) -> None:
-        """`shown` is told of ticks, with their pictures as JPEG files, and of decisions, in the writer's thread."""
+        """`shown` is told of all of it in the writer's thread."""
         self.path, self._joints, self._cameras, self._shown = path, joints, cameras, shown
         self._names = [f"{joint}.pos" for joint in joints]
         self._writer = McapWriter(path, instruction=instruction, metadata=about) if path else None
@@ -67,6 +68,8 @@ class Recording(Watcher):
         """Write what is left, with how the episode ended, and the tables. Raises SaveFailed."""
         self._queue.put(None)
         self._thread.join()
+        if self._shown is not None:
+            self._shown.close()
         if self._writer is not None and self.path is not None:
             self._writer.write_metadata(METADATA_NAME, {"ended": ended, "steps": str(len(self.ticks))})
             self._writer.close()

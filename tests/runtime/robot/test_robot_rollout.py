@@ -18,6 +18,7 @@ from jiti.episodes.reader import open_reader
 from jiti.errors import RobotError, UsageError
 from jiti.runtime.robot.command import RobotRequest, run_robot
 from jiti.runtime.robot.run import Recorded
+from jiti.runtime.robot.tick import Tick
 from jiti.runtime.robot.virtual import Faults
 from jiti.tasks.catalogue import load_catalogue
 from tests.builders import robot_agents, robot_rollout
@@ -148,6 +149,22 @@ def test_a_dry_run_says_where_it_would_go(arm, asked, torque, tmp_path):
     assert any("shoulder_pan 0 -> " in one for one in said)
     assert arm.memories()[1].read(0, 56) == before
     assert torque() == OFF
+
+
+def test_it_is_shown_live_and_that_is_kept(asked, tmp_path):
+    from jiti.runtime.robot.live import LiveArm
+    from jiti.runtime.robot.recording import Recording
+
+    joints = ("shoulder_pan", "gripper")
+    shown = LiveArm(tmp_path / "one.rrd", None, joints, (), tau=0.5)
+    recording = Recording(None, joints, (), shown=shown)
+    for number in range(5):
+        sent = dict.fromkeys(joints, 1.0 * number)
+        seen = {f"{name}.pos": value for name, value in sent.items()}
+        recording.ticked(Tick(number, number, seen, sent, sent, (), True, 0.03, 0.0, 0.0, 0.0))
+    recording.finish("time")
+    assert b"joints/gripper" in (tmp_path / "one.rrd").read_bytes()
+    assert len(recording.ticks) == 5
 
 
 def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
