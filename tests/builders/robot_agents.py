@@ -112,6 +112,10 @@ def short_chunks(brain: Brain, observation: Observation) -> Agent:
     return Agent(Sweeping(chunk=4), EveryThird())
 
 
+def without_critic(brain: Brain, observation: Observation) -> Agent:
+    return Agent(Sweeping(slow=0.1))
+
+
 def nan(brain: Brain, observation: Observation) -> Agent:
     return Agent(Spoilt("nan"), EveryThird())
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -193,6 +194,20 @@ def test_a_signal_ends_it_with_no_torque_and_the_recording(arm, torque, tmp_path
     assert len(numbers(episode, "/joints")[1]) > 10
 
 
+def test_space_in_the_terminal_stops_it(arm, torque, tmp_path, until):
+    ours, theirs = pty.openpty()
+    with _program(arm, tmp_path, stdin=theirs) as program:
+        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        os.write(ours, b" ")
+        told, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    assert "stopped by Space" in told
+    assert torque() == OFF
+    assert recorded(tmp_path)
+    os.close(ours)
+    os.close(theirs)
+
+
 def test_a_second_program_on_the_port_is_refused_and_the_first_goes_on(arm, torque, tmp_path, until):
     with _program(arm, tmp_path / "first") as first:
         until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
@@ -220,8 +235,13 @@ def test_a_minute_at_30_hz(asked, torque, guidance):
     assert torque() == OFF
 
 
-def _program(arm, out: Path) -> subprocess.Popen:
+def _program(arm, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     return subprocess.Popen(
-        robot_rollout.command(arm, out), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        robot_rollout.command(arm, out),
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment,
     )
