@@ -89,21 +89,20 @@ def run_robot(
         raise UsageError("an arm needs a policy of its own: pass --policy, a checkpoint or run of lerobot-train.")
     label, folder = label_of(guidance), request.out or FOLDER / task.task_id.replace("/", "-")
     brain = Brain(request.policy, request.critic, guidance, task.instruction, request.device, request.settings.execute)
-    first = request.seed or 0
+    paths = _paths(request, folder / label, task)
     with ExitStack() as stack:
         stops = stack.enter_context(Stops())
         make_folder(folder)
         stack.enter_context(alone(folder, "jiti rollout"))
         inference = stack.enter_context(Inference(brain, make_agent))
         arm = stack.enter_context(_arm(request, task, stack, say, cameras))
-        seeds = range(first, first + (request.episodes or 1))
 
         viewer = Viewer(say) if request.live else None
         if viewer is not None:
             stack.callback(viewer.close)
 
         def recording(seed: int) -> Recording:
-            path = folder / label / f"{task.task_id.replace('/', '-')}_{seed:04d}{RECORDING_SUFFIX}"
+            path = paths[seed]
             about = {"task": task.task_id, "robot": request.settings.kind, "guidance": label, "seed": str(seed)}
             names = tuple(arm.robot.cameras)
             shown = None
@@ -119,7 +118,7 @@ def run_robot(
         say("Loading policy and critic; the arm has no torque.")
         facts = runner.open()
         say("Dry run: nothing is sent." if request.dry_run else "Space stops the arm at once, Enter ends an episode.")
-        done, problem = runner.play(facts, seeds, request.seconds)
+        done, problem = runner.play(facts, list(paths), request.seconds)
         taken = {"policy": request.policy, "critic": request.critic, "settings": asdict(request.settings)}
         taken |= {"tau": guidance.tau, "execute": facts.execute, "dry_run": request.dry_run}
         report = RobotReport(
@@ -128,6 +127,22 @@ def run_robot(
         if viewer is not None:
             viewer.wait()
     return Ran(report, problem)
+
+
+def _paths(request: RobotRequest, folder: Path, task: Task) -> dict[int, Path]:
+    """Of each seed's recording. Without a first seed they go on behind those that are there; raises UsageError where one
+    would take another's place."""
+    stem = task.task_id.replace("/", "-")
+
+    def path(seed: int) -> Path:
+        return folder / f"{stem}_{seed:04d}{RECORDING_SUFFIX}"
+
+    there = [int(one.stem.rpartition("_")[2]) for one in folder.glob(f"{stem}_[0-9]*{RECORDING_SUFFIX}")]
+    first = max(there, default=-1) + 1 if request.seed is None else request.seed
+    seeds = range(first, first + (request.episodes or 1))
+    if request.record and (taken := set(seeds) & set(there)):
+        raise UsageError(f"{path(min(taken))} is there already: leave --seed out, or pass another --out.")
+    return {seed: path(seed) for seed in seeds}
 
 
 def _arm(

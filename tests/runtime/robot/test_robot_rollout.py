@@ -143,6 +143,17 @@ def test_a_fault_in_the_middle_of_an_episode_leaves_what_was_recorded(arm, asked
     assert len(numbers(episode, "/action")[1]) == done.report.episodes[0].steps > 5
 
 
+def test_recordings_are_numbered_on_and_none_is_replaced(asked, tmp_path):
+    folder = tmp_path / "jiti"
+    folder.mkdir()
+    for number in (0, 7):
+        (folder / f"so100-T2_{number:04d}.mcap").write_bytes(b"")
+    done, _ = ran(replace(asked, seconds=0.5))
+    assert [(e.seed, Path(e.recording or "").name) for e in done.report.episodes] == [(8, "so100-T2_0008.mcap")]
+    with pytest.raises(UsageError, match=r"so100-T2_0007.mcap is there already"):
+        ran(replace(asked, seed=6, episodes=2))
+
+
 def test_a_dry_run_says_where_it_would_go(arm, asked, torque, tmp_path):
     before = arm.memories()[1].read(0, 56)
     done, said = ran(replace(asked, dry_run=True))
