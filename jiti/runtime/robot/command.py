@@ -130,7 +130,7 @@ def run_robot(
 
 
 def _paths(request: RobotRequest, folder: Path, task: Task) -> dict[int, Path]:
-    """Of each seed's recording. Without a first seed they go on behind those that are there; raises UsageError where one
+    """Of each seed's recording. Without a first seed they go on behind those there; raises UsageError where one
     would take another's place."""
     stem = task.task_id.replace("/", "-")
 
