@@ -45,11 +45,12 @@ def until() -> Callable[[Callable[[], bool]], None]:
 
 @pytest.fixture
 def settings(arm: VirtualArm) -> RobotSettings:
-    """Of the virtual arm, with less patience than people have."""
+    """Of the virtual arm, with less patience than people have, and more for a machine with much else to do."""
     return RobotSettings(
         port=arm.port,
         id=arm.id,
         calibration_dir=str(arm.calibration_dir),
+        lost_s=1.0,
         release_after_s=0.3,
         replug_s=3.0,
         stall_s=2.0,
