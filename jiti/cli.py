@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -60,6 +60,13 @@ class Start(StrEnum):
     jitter = "jitter"
     file = "file"
     sampled = "sampled"
+
+
+class Arm(StrEnum):
+    """Arms that a policy can be played on."""
+
+    so100 = "so100"
+    so101 = "so101"
 
 
 class PickRank(StrEnum):
@@ -732,15 +739,59 @@ def rollout(
         typer.Option("--branch", metavar="PICKS", help="Continue one episode in several ways: best,median,worst."),
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="Show episodes in Rerun while they are played.")] = False,
+    robot: Annotated[Arm | None, typer.Option("--robot", help="Play on an arm instead: so100, so101.")] = None,
+    port: Annotated[
+        str | None, typer.Option("--port", help="Of the arm: /dev/ttyACM0, or virtual for a simulated one.")
+    ] = None,
+    robot_id: Annotated[
+        str | None, typer.Option("--robot-id", help="By which lerobot knows its calibration. Default: follower.")
+    ] = None,
+    robot_config: Annotated[
+        Path | None, typer.Option("--robot-config", help="A TOML file with the arm, its cameras and limits.")
+    ] = None,
+    seconds: Annotated[float, typer.Option("--seconds", min=0.1, help="Of an episode on an arm.")] = 30.0,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say where the arm would go, and send it nothing.")
+    ] = False,
     tasks: Tasks = None,
     as_json: Json = False,
 ) -> None:
     """Play a policy in simulation, alone and guided by a critic, from the same initial states, and compare.
 
     Without options it takes the newest policy, critic and recorded task here, and says which. A stopped run goes on.
+    With --robot it plays one guidance on an arm; see docs/so100.md first.
 
     Example: jiti rollout --task elegant/T2 --policy policy --critic critic --guidance none --guidance jiti
+
+    Example: jiti rollout --robot so100 --port virtual --task so100/T4 --policy policy --guidance none
     """
+    if robot is not None or robot_config is not None or port is not None:
+        if branch is not None or calibrate_tau is not None:
+            raise UsageError("--branch and --calibrate-tau are for simulation: leave them out, or --robot and --port.")
+        _play_on_robot(
+            {"kind": robot and robot.value, "port": port, "id": robot_id},
+            robot_config,
+            tasks,
+            as_json,
+            task=task,
+            policy=policy,
+            critic=critic,
+            guidance=tuple(guidance or ()),
+            pick=pick.value,
+            candidates=candidates,
+            window=window,
+            tau=tau,
+            tau_scale=tau_scale,
+            episodes=episodes,
+            seconds=seconds,
+            seed=seed,
+            device=device,
+            out=out,
+            record=record,
+            dry_run=dry_run,
+            live=live,
+        )
+        return
     from jiti.runtime.sim.engine import find_robosuite
     from jiti.tasks.catalogue import load_catalogue
 
@@ -782,6 +833,30 @@ def rollout(
         print(done.to_json())
     else:
         done.print()
+
+
+def _play_on_robot(
+    flags: dict[str, str | None], config: Path | None, tasks: list[Path] | None, as_json: bool, **asked: Any
+) -> None:
+    """`jiti rollout --robot`."""
+    from jiti.runtime.robot.command import RobotRequest, run_robot
+    from jiti.runtime.robot.settings import read_settings
+    from jiti.runtime.robot.stops import Stopped
+    from jiti.tasks.catalogue import load_catalogue
+
+    request = RobotRequest(read_settings(config, **flags), **asked)
+    try:
+        ran = run_robot(request, load_catalogue(*tasks or ()), lambda said: print(said, file=sys.stderr))
+    except Stopped as stopped:  # before the arm had torque
+        raise typer.Exit(stopped.exit_code) from None
+    if as_json:
+        print(ran.report.to_json())
+    else:
+        ran.report.print()
+    if isinstance(ran.problem, Stopped):
+        raise typer.Exit(ran.problem.exit_code)
+    if ran.problem is not None:
+        raise ran.problem
 
 
 @contextmanager

@@ -7,6 +7,7 @@
     │   ├── NewerSchema       written by a later jiti
     │   ├── StaleWrite        someone saved in between; carries what changed
     │   └── SaveFailed        disk full, read-only, gone; nothing was lost
+    ├── RobotError            an arm cannot go on; names the servo
     └── UsageError            flags or environment do not fit together
 
 Only the command line and the web handlers catch `JitiError`; a bug keeps its traceback.
@@ -43,6 +44,10 @@ class StaleWrite(LabelError):
 
 class SaveFailed(LabelError):
     """The disk refused a write; what was saved before is intact and the edit is not acknowledged."""
+
+
+class RobotError(JitiError):
+    """An arm cannot begin or go on; the message names the servo or the part, and what a person is to do."""
 
 
 class UsageError(JitiError):

@@ -19,6 +19,7 @@ class Wandering:
     """Chunks are their noise, small; the observation counts as well, so that what was seen matters."""
 
     noise_shape = (CHUNK, ACTION)
+    chunk = CHUNK
     history = 1
 
     def __init__(self, executed: int = CHUNK) -> None:

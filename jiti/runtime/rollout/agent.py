@@ -4,13 +4,16 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from jiti.runtime.candidates.observation import Observation
 from jiti.runtime.guidance import Score
 from jiti.runtime.rollout.plan import RolloutPlan
+
+if TYPE_CHECKING:
+    from jiti.runtime import candidates
 
 
 class Seen(Protocol):
@@ -27,6 +30,11 @@ class Sampler(Protocol):
     @property
     def noise_shape(self) -> tuple[int, int]:
         """(K', A')"""
+        ...
+
+    @property
+    def chunk(self) -> int:
+        """K, actions of a chunk."""
         ...
 
     @property
@@ -71,15 +79,23 @@ def open_agent(plan: RolloutPlan, observation: Observation) -> Agent:
     """
     import torch
 
-    from jiti.runtime.candidates import check_pair, open_sampler, open_scorer
-
     torch.set_num_threads(1)
-    with redirect_stdout(StringIO()):  # where lerobot says that it loads weights, and `--json` is printed
-        sampler = open_sampler(plan.policy, plan.device)
-        if plan.critic is None:
-            return Agent(sampler.only(sampler.executed))
-        scorer = open_scorer(plan.critic, plan.device)
-    check_pair(sampler, scorer, observation)
+    sampler, scorer = open_pair(plan.policy, plan.critic, plan.device, observation)
     # No more of a chunk than is executed or valued: SmolVLA makes 50 actions otherwise. As many for `none`, so that it
     # is an exact pair of the others.
-    return Agent(sampler.only(max(sampler.executed, scorer.chunk)), scorer)
+    return Agent(sampler.only(max(sampler.executed, scorer.chunk if scorer else 0)), scorer)
+
+
+def open_pair(
+    policy: str, critic: str | None, device: str, observation: Observation
+) -> "tuple[candidates.Sampler, candidates.Scorer | None]":
+    """A policy, whose chunks are whole, and a critic. Raises what `open_agent` does."""
+    from jiti.runtime.candidates import check_pair, open_sampler, open_scorer
+
+    with redirect_stdout(StringIO()):  # where lerobot says that it loads weights, and `--json` is printed
+        sampler = open_sampler(policy, device)
+        if critic is None:
+            return sampler, None
+        scorer = open_scorer(critic, device)
+    check_pair(sampler, scorer, observation)
+    return sampler, scorer

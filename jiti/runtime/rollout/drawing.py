@@ -1,6 +1,6 @@
 """How rollouts look in Rerun. The rollouts' only Rerun calls.
 
-One timeline, `step`: the environment's, from 0, 20 a second.
+One timeline, `step`: the environment's or the arm's, from 0, 20 or 30 a second.
 """
 
 import os
@@ -14,7 +14,7 @@ import numpy as np
 
 from jiti.durable import replacing
 from jiti.runtime.rollout.chunk_path import chunk_path
-from jiti.runtime.rollout.play import Decided
+from jiti.runtime.rollout.decide import Decided
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -25,6 +25,7 @@ APPROXIMATE = (
     "approximate, without rotation, contact or inertia.\n\n"
     "Blue: the default chunk. Green: the one that was executed. Grey: other candidates."
 )
+ARM = "Joints in degrees, the gripper in percent. Blue: where it is. Green: where it was sent."
 BRANCH_COLORS = {"best": (44, 160, 44), "median": (255, 152, 0), "worst": (214, 39, 40), "random": (127, 127, 127)}
 _DEFAULT, _CHOSEN, _OTHER, _THING = (70, 130, 230), (44, 160, 44), (150, 150, 150), (190, 170, 120)
 
@@ -33,9 +34,10 @@ os.environ.setdefault("RERUN_ANALYTICS_ENABLED", "false")  # Rerun sends usage s
 
 @contextmanager
 def live_recording(
-    title: str, cameras: Sequence[str], path: Path, address: str | None = None
+    title: str, cameras: Sequence[str], path: Path, address: str | None = None, *, joints: Sequence[str] = ()
 ) -> Iterator["rr.RecordingStream"]:
-    """A recording of one episode, kept in `path` in the end and shown meanwhile by the viewer at `address`.
+    """A recording of one episode, kept in `path` in the end and shown meanwhile by the viewer at `address`: of a scene,
+    or of an arm with these joints.
 
     Raises SaveFailed.
     """
@@ -46,22 +48,28 @@ def live_recording(
         sinks: list[Any] = [rr.FileSink(temporary), *([rr.GrpcSink(address)] if address else [])]
         recording.set_sinks(*sinks)
         recording.send_recording_name(title)
-        recording.send_blueprint(_live_layout(cameras), make_active=True)
+        recording.send_blueprint(_live_layout(cameras, joints), make_active=True)
         _curves(recording, "values/q", [("q_t", _DEFAULT), ("q_bar", _OTHER)])
         _curves(recording, "jumps/delta_q", [("delta_q", _DEFAULT), ("tau", BRANCH_COLORS["worst"])])
         points = rr.SeriesPoints(names="triggered", colors=BRANCH_COLORS["worst"])
         recording.log("values/triggered", points, static=True)
-        recording.log("about", rr.TextDocument(APPROXIMATE, media_type="text/markdown"), static=True)
+        about = ARM if joints else APPROXIMATE
+        recording.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
+        for joint in joints:
+            _curves(recording, f"joints/{joint}", [(joint, _DEFAULT), (f"{joint}, sent", _CHOSEN)])
         yield recording
         recording.disconnect()
 
 
-def _live_layout(cameras: Sequence[str]) -> Any:
-    """Pictures and scene above; values, jumps and words below."""
+def _live_layout(cameras: Sequence[str], joints: Sequence[str]) -> Any:
+    """Pictures and scene, or joints, above; values, jumps and words below."""
     import rerun.blueprint as rrb
 
     above: list[Any] = [rrb.Spatial2DView(origin=f"camera/{camera}", name=camera) for camera in cameras]
-    above.append(rrb.Spatial3DView(origin="scene", name="candidates (approximate)"))
+    if joints:
+        above.append(rrb.Grid(*(rrb.TimeSeriesView(origin=f"joints/{joint}", name=joint) for joint in joints)))
+    else:
+        above.append(rrb.Spatial3DView(origin="scene", name="candidates (approximate)"))
     below = [
         rrb.TimeSeriesView(origin="values", name="Q of the default, mean of those before, triggers"),
         rrb.TimeSeriesView(origin="jumps", name="jump of Q, tau"),
@@ -75,20 +83,49 @@ def draw_decision(recording: "rr.RecordingStream", decided: Decided, tau: float 
     """Values, whether it triggered, and the paths of the candidates from the hand's place (3,) m."""
     import rerun as rr
 
+    draw_values(recording, decided, tau)
+    paths = chunk_path(hand_m, decided.chunks)
+    colors = [_OTHER] * len(paths)
+    colors[0] = _DEFAULT
+    colors[decided.decision.chosen] = _CHOSEN
+    radii = [0.0015 if color == _OTHER else 0.003 for color in colors]
+    recording.log("scene/candidates", rr.LineStrips3D(paths, colors=colors, radii=radii))
+
+
+def draw_values(recording: "rr.RecordingStream", decided: Decided, tau: float | None) -> None:
+    """Values, and whether it triggered, at the step that it was decided on."""
+    import rerun as rr
+
     d = decided.decision
     recording.set_time(TIMELINE, sequence=decided.frame)
     if np.isfinite(d.q_t):
         recording.log("values/q", rr.Scalars([d.q_t, d.q_bar]))
         recording.log("jumps/delta_q", rr.Scalars([d.delta_q, float("nan") if tau is None else tau]))
-    paths = chunk_path(hand_m, decided.chunks)
-    colors = [_OTHER] * len(paths)
-    colors[0] = _DEFAULT
-    colors[d.chosen] = _CHOSEN
-    radii = [0.0015 if color == _OTHER else 0.003 for color in colors]
-    recording.log("scene/candidates", rr.LineStrips3D(paths, colors=colors, radii=radii))
     if d.triggered:
         recording.log("values/triggered", rr.Scalars(d.q_t))
     recording.log("said", rr.TextLog(said(decided), level="WARN" if d.problem else "INFO"))
+
+
+def draw_arm(
+    recording: "rr.RecordingStream",
+    step: int,
+    joints: Mapping[str, tuple[float, float]],
+    pictures: Mapping[str, bytes],
+) -> None:
+    """Where each joint is and where it was sent, in its own unit, and JPEG pictures by camera."""
+    import rerun as rr
+
+    recording.set_time(TIMELINE, sequence=step)
+    for joint, (seen, sent) in joints.items():
+        recording.log(f"joints/{joint}", rr.Scalars([seen, sent]))
+    _draw_pictures(recording, pictures)
+
+
+def _draw_pictures(recording: "rr.RecordingStream", pictures: Mapping[str, bytes]) -> None:
+    import rerun as rr
+
+    for camera, data in pictures.items():
+        recording.log(f"camera/{camera}", rr.EncodedImage(contents=data, media_type="image/jpeg"))
 
 
 def said(decided: Decided) -> str:
@@ -122,8 +159,7 @@ def draw_state(
         recording.log("scene/path", rr.LineStrips3D([np.array(path_m)], colors=_THING, radii=0.001))
     names = list(things)
     recording.log("scene/things", rr.Points3D([things[n] for n in names], radii=0.012, colors=_THING, labels=names))
-    for camera, data in pictures.items():
-        recording.log(f"camera/{camera}", rr.EncodedImage(contents=data, media_type="image/jpeg"))
+    _draw_pictures(recording, pictures)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ import numpy as np
 
 from jiti.durable import make_folder
 from jiti.runtime.rollout.agent import OpenAgent, open_agent
+from jiti.runtime.rollout.decide import Decided
 from jiti.runtime.rollout.drawing import draw_decision, draw_state, live_recording
 from jiti.runtime.rollout.plan import RolloutPlan
-from jiti.runtime.rollout.play import Decided, Watcher
+from jiti.runtime.rollout.play import Watcher
 from jiti.runtime.rollout.result import Rollout, outcome_text, write_tables
 from jiti.runtime.rollout.run import (
     all_rollouts,

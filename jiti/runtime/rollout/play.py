@@ -10,23 +10,11 @@ import numpy as np
 
 from jiti.errors import UsageError
 from jiti.runtime.candidates.observation import Observation
-from jiti.runtime.guidance import Decision, Guidance, Guide, Score
+from jiti.runtime.guidance import Guidance, Guide
 from jiti.runtime.rollout.agent import Agent
+from jiti.runtime.rollout.decide import Decided, agent_for, decide
 from jiti.runtime.sim.env import ElegantEnv
 from jiti.runtime.sim.monitor import Outcome
-
-
-@dataclass(frozen=True, slots=True)
-class Decided:
-    """A decision, and where and on what it was made."""
-
-    decision: Decision
-    frame: int
-    """Step of the episode, from 0, whose state was observed."""
-    chunks: np.ndarray
-    """Candidates (n, K, A) that were drawn, the default first."""
-    observe_s: float
-    """Seconds that it took to prepare the observation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +59,7 @@ def play(env: ElegantEnv, agent: Agent, guidance: Guidance, seed: int, watchers:
 
     Raises UsageError when the guidance needs a critic and there is none, or an action is no number.
     """
-    sampler = agent.sampler
-    if guidance.method == "none":
-        agent = Agent(sampler)  # none asks no critic
-    elif agent.scorer is None:
-        raise UsageError(f"--guidance {guidance.method} needs a critic: pass --critic RUN")
+    agent, sampler = agent_for(guidance, agent), agent.sampler
     guide = Guide(guidance, seed, sampler.noise_shape)
     began = perf_counter()
     seen, _ = env.reset(seed=seed)
@@ -85,9 +69,10 @@ def play(env: ElegantEnv, agent: Agent, guidance: Guidance, seed: int, watchers:
     decided: list[Decided] = []
     step, ended, cut_off = 0, False, False
     while not ended:
-        chunk = _decide(env, agent, guide, tuple(before), step, decided)
+        chunk, made = decide(agent, guide, tuple(before), env.task_description, step)
+        decided.append(made)
         for watcher in watchers:
-            watcher.decided(env, decided[-1])
+            watcher.decided(env, made)
         for action in chunk[: sampler.executed]:
             if not np.isfinite(action).all():
                 raise UsageError(
@@ -107,34 +92,3 @@ def play(env: ElegantEnv, agent: Agent, guidance: Guidance, seed: int, watchers:
     for watcher in watchers:
         watcher.stepped(env, step, seen, None)
     return Played(env.monitor.outcome(), tuple(decided), cut_off, sim_s)
-
-
-def _decide(
-    env: ElegantEnv,
-    agent: Agent,
-    guide: Guide,
-    observations: tuple[Observation, ...],
-    step: int,
-    decided: list[Decided],
-) -> np.ndarray:
-    """The chunk (K, A) to execute; the decision is added to those of the episode."""
-    *before, newest = observations
-    instruction = env.task_description
-    began = perf_counter()
-    ready = agent.sampler.observe(newest, instruction, before)
-    score: Score = _no_critic if agent.scorer is None else agent.scorer.at(newest, instruction, ready)
-    observe_s = perf_counter() - began
-    drawn: list[np.ndarray] = []
-
-    def sample(noise: np.ndarray) -> np.ndarray:
-        drawn.append(ready.sample(noise))
-        return drawn[-1]
-
-    chunk, decision = guide.decide(sample, score)
-    decided.append(Decided(decision, step, np.concatenate(drawn), observe_s))
-    return chunk
-
-
-def _no_critic(chunks: np.ndarray) -> np.ndarray:
-    """Is not called: `none` asks no critic."""
-    return np.full(len(chunks), np.nan)

@@ -8,7 +8,8 @@ from typing import Any, Self
 import numpy as np
 
 from jiti.episodes.mcap_writer import McapWriter
-from jiti.runtime.rollout.play import Decided, Watcher
+from jiti.runtime.rollout.decide import Decided
+from jiti.runtime.rollout.play import Watcher
 from jiti.runtime.sim.env import ElegantEnv
 from jiti.runtime.sim.monitor import Outcome
 from jiti.runtime.sim.record_episode import time_of_step, write_outcome, write_step
@@ -19,6 +20,12 @@ DECISION_NAMES = ("q_t", "q_bar", "delta_q", "triggered", "chosen")
 """NaN where the critic was not asked, or there is no mean yet; `chosen` is 0 for the default."""
 
 
+def write_decision(writer: McapWriter, time_ns: int, decided: Decided) -> None:
+    """A decision, at the time of the state that it was made on."""
+    d = decided.decision
+    writer.write_vector(DECISIONS, time_ns, DECISION_NAMES, (d.q_t, d.q_bar, d.delta_q, d.triggered, d.chosen))
+
+
 class Recorder(Watcher):
     """Writes to a temporary file that takes its name at `finish`; with `with`, an exception leaves no file."""
 
@@ -26,9 +33,7 @@ class Recorder(Watcher):
         self._writer = McapWriter(path, instruction=instruction, metadata=about, overwrite=True)
 
     def decided(self, env: ElegantEnv, decided: Decided) -> None:
-        d = decided.decision
-        values = (d.q_t, d.q_bar, d.delta_q, d.triggered, d.chosen)
-        self._writer.write_vector(DECISIONS, time_of_step(decided.frame), DECISION_NAMES, values)
+        write_decision(self._writer, time_of_step(decided.frame), decided)
 
     def stepped(self, env: ElegantEnv, step: int, seen: dict[str, Any], action: np.ndarray | None) -> None:
         write_step(self._writer, step, env.scene, env.monitor, action, seen.get("pixels"))

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 from jiti.durable import replacing, write_atomic
 from jiti.errors import SourceError
 from jiti.runtime.guidance import Guidance
+from jiti.runtime.rollout.decide import Decided
 from jiti.runtime.rollout.plan import label_of
-from jiti.runtime.rollout.play import Decided, Played
+from jiti.runtime.rollout.play import Played
 from jiti.tasks.judge import Verdict
 
 RESULT_SUFFIX, RECORDING_SUFFIX = ".json", ".mcap"
@@ -99,13 +100,14 @@ def rollout_of(task: str, guidance: Guidance, seed: int, played: Played, wall_s:
         played.cut_off,
         outcome.steps,
         tuple(outcome.verdicts.items()),
-        tuple(_choice(decided) for decided in played.decided),
+        tuple(choice_of(decided) for decided in played.decided),
         played.sim_s,
         wall_s,
     )
 
 
-def _choice(decided: Decided) -> Choice:
+def choice_of(decided: Decided) -> Choice:
+    """What is kept of a decision."""
     d = decided.decision
     return Choice(
         d.decision,

@@ -20,7 +20,7 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def inputs(*, state: int = 8, scene: int = 5, cameras: tuple[str, ...] = (), side: int = 32) -> dict:
+def inputs(*, state: int = 8, scene: int = 5, cameras: tuple[str, ...] = (), side: int = 32, action: int = 7) -> dict:
     """lerobot's words for what is observed and done."""
     from lerobot.configs.types import FeatureType, PolicyFeature
 
@@ -28,7 +28,7 @@ def inputs(*, state: int = 8, scene: int = 5, cameras: tuple[str, ...] = (), sid
     if scene:
         seen[SCENE] = PolicyFeature(FeatureType.ENV, (scene,))
     seen |= {camera: PolicyFeature(FeatureType.VISUAL, (3, side, side)) for camera in cameras}
-    return {"input_features": seen, "output_features": {"action": PolicyFeature(FeatureType.ACTION, (7,))}}
+    return {"input_features": seen, "output_features": {"action": PolicyFeature(FeatureType.ACTION, (action,))}}
 
 
 def checkpoint(policy, run: Path) -> Path:
@@ -73,6 +73,7 @@ def tiny_critic(
     tokens: int = 1,
     size: int = 13,
     chunk: int = 10,
+    action: int = 7,
 ) -> Path:
     """A critic of one block, whose values spread."""
     import torch
@@ -83,8 +84,8 @@ def tiny_critic(
 
     torch.manual_seed(2)
     network = NetworkSettings(width=16, depth=1, heads=2, chunk=chunk, actor_width=8)
-    limits = ActionRange(np.full(7, -4, np.float32), np.full(7, 4, np.float32))
-    critic = make_critic(network, Sizes(size, tokens, 7), limits, {})
+    limits = ActionRange(np.full(action, -4, np.float32), np.full(action, 4, np.float32))
+    critic = make_critic(network, Sizes(size, tokens, action), limits, {})
     with torch.no_grad():
         for weight in critic.q.parameters():
             weight.normal_(0, 0.4)

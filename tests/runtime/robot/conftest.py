@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from jiti.runtime.robot.virtual import Faults, VirtualArm
+from jiti.runtime.robot.settings import RobotSettings
+from jiti.runtime.robot.virtual import Faults, VirtualArm, registers
 
 
 @pytest.fixture
@@ -40,3 +41,23 @@ def until() -> Callable[[Callable[[], bool]], None]:
             sleep(0.02)
 
     return wait
+
+
+@pytest.fixture
+def settings(arm: VirtualArm) -> RobotSettings:
+    """Of the virtual arm, with less patience than people have, and more for a machine with much else to do."""
+    return RobotSettings(
+        port=arm.port,
+        id=arm.id,
+        calibration_dir=str(arm.calibration_dir),
+        lost_s=1.0,
+        release_after_s=0.3,
+        replug_s=3.0,
+        stall_s=2.0,
+    )
+
+
+@pytest.fixture
+def torque(arm: VirtualArm) -> Callable[[], list[int]]:
+    """Of each servo, 1 or 0."""
+    return lambda: [memory[registers.TORQUE_ENABLE] for memory in arm.memories().values()]

@@ -1,0 +1,87 @@
+"""How a person or the system stops an arm: Space, and the signals that end a program.
+
+While an arm has torque, a signal raises nothing in the middle of an exchange with the servos: it is asked for at each
+step. Otherwise it ends the program as usual.
+"""
+
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Self
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STOP, NEXT = " ", "\n"
+"""Space ends everything, Enter the episode."""
+
+
+class Stopped(Exception):
+    """The arm is to stop at once."""
+
+    def __init__(self, why: str, exit_code: int) -> None:
+        """`exit_code` is what the program ends with: 128 and the signal's number, or 0."""
+        super().__init__(why)
+        self.exit_code = exit_code
+
+
+class Stops:
+    """With `with`, signals and the terminal's keys are listened to; after it all is as before."""
+
+    def __init__(self, *, keys: bool = True) -> None:
+        """`keys`: where standard input is a terminal."""
+        self._keys = keys and sys.stdin is not None and sys.stdin.isatty()
+        self._signal: int | None = None
+        self._guarded = False
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._heard) for number in SIGNALS}
+        if self._keys:
+            self._terminal = termios.tcgetattr(sys.stdin)
+            tty.setcbreak(sys.stdin)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._keys:
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    @contextmanager
+    def guarded(self) -> Iterator[None]:
+        """While an arm has torque: signals are told by `look`, and what is left of them by this at the end.
+
+        Raises Stopped."""
+        self._guarded = True
+        try:
+            yield
+        finally:
+            self._guarded = False
+        self._raise_signal()
+
+    def look(self) -> bool:
+        """Whether the episode is to end. Raises Stopped where everything is."""
+        self._raise_signal()
+        pressed = self._pressed()
+        if STOP in pressed:
+            raise Stopped("stopped by Space", 0)
+        return NEXT in pressed
+
+    def _raise_signal(self) -> None:
+        if self._signal is not None:
+            number, self._signal = self._signal, None
+            raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
+
+    def _pressed(self) -> str:
+        if not self._keys or not select.select([sys.stdin], [], [], 0)[0]:
+            return ""
+        return os.read(sys.stdin.fileno(), 64).decode(errors="ignore")
+
+    def _heard(self, number: int, _frame: FrameType | None) -> None:
+        if not self._guarded:
+            raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
+        self._signal = number

@@ -1,0 +1,33 @@
+"""`jiti rollout --robot` with an agent of arithmetic, as a program of its own: to be killed, or to be a second one."""
+
+import sys
+from pathlib import Path
+
+from jiti.errors import JitiError
+from jiti.runtime.robot.command import RobotRequest, run_robot
+from jiti.runtime.robot.settings import RobotSettings
+from jiti.runtime.robot.stops import Stopped
+from jiti.runtime.robot.virtual import VirtualArm
+from jiti.tasks.catalogue import load_catalogue
+from tests.builders import robot_agents
+
+
+def command(arm: VirtualArm, out: Path) -> list[str]:
+    """The program's command line."""
+    return [sys.executable, "-m", __spec__.name, arm.port, arm.id, str(arm.calibration_dir), str(out)]
+
+
+def main(port: str, robot: str, calibration_dir: str, out: str) -> int:
+    settings = RobotSettings(port=port, id=robot, calibration_dir=calibration_dir, release_after_s=0.5)
+    request = RobotRequest(settings, task="so100/T2", policy="none", out=Path(out), seconds=600.0)
+    try:
+        ran = run_robot(request, load_catalogue(), lambda said: print(said, flush=True), make_agent=robot_agents.quick)
+    except JitiError as error:
+        print(error, flush=True)
+        return 1
+    ran.report.print()
+    return ran.problem.exit_code if isinstance(ran.problem, Stopped) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

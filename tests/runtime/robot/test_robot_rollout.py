@@ -1,0 +1,258 @@
+"""Whole rollouts on the virtual arm: whatever ends one, the arm has no torque, and what was recorded is kept."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jiti.episodes.episode import numbers
+from jiti.episodes.reader import open_reader
+from jiti.errors import RobotError, UsageError
+from jiti.runtime.robot.command import RobotRequest, run_robot
+from jiti.runtime.robot.run import Recorded
+from jiti.runtime.robot.tick import Tick
+from jiti.runtime.robot.virtual import Faults
+from jiti.tasks.catalogue import load_catalogue
+from tests.builders import robot_agents, robot_rollout
+
+pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
+pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
+pytestmark = pytest.mark.filterwarnings("ignore")
+"""lerobot and what it imports warn of themselves."""
+CATALOGUE = load_catalogue()
+OFF = [0] * 6
+
+
+@pytest.fixture
+def asked(settings, tmp_path) -> RobotRequest:
+    """Three seconds, quick decisions."""
+    return RobotRequest(
+        settings, task="so100/T2", policy="p", critic="c", guidance=("jiti",), tau=0.5, seconds=3.0, out=tmp_path
+    )
+
+
+def ran(request, make_agent=robot_agents.quick, **more):
+    said: list[str] = []
+    done = run_robot(request, CATALOGUE, said.append, make_agent=make_agent, **more)
+    return done, said
+
+
+def recorded(folder: Path):
+    """The only recording, as jiti reads it, and what its metadata says of its end."""
+    (path,) = folder.rglob("*.mcap")
+    reader = open_reader(path)
+    return path, reader.open(reader.episodes()[0].episode_id)
+
+
+def test_an_episode_moves_the_arm_and_is_kept(arm, asked, torque, tmp_path):
+    looked: list[tuple[Recorded, list[int]]] = []
+    done, _ = ran(replace(asked, episodes=2), after_episode=lambda one: looked.append((one, torque())))
+    assert done.problem is None
+    assert torque() == OFF
+    first, second = done.report.episodes
+    assert (first.seed, second.seed, first.acting) == (0, 1, 90)
+    assert first.held == 0
+    assert 0 < first.triggered < first.decisions
+    assert first.changed == first.triggered
+    assert [(one.seed, off) for one, off in looked] == [(0, OFF), (1, OFF)]
+    path = looked[0][0].path
+    episode = open_reader(path).open("so100-T2_0000")
+    assert episode.task_id == "so100/T2"
+    times, sent = numbers(episode, "/action")
+    _, joints = numbers(episode, "/joints")
+    assert len(sent) == first.steps
+    assert np.ptp(joints[:, 0]) > 20, "degrees that the first joint has swept"
+    after = [angle * 180 / np.pi for angle in arm.state().joints.values()]
+    assert after[:5] == pytest.approx(joints[0, :5], abs=8), "it went back to where it lay"
+    assert np.abs(np.diff(sent, axis=0)).max() <= asked.settings.max_step + 1e-6
+    decided_ns, values = numbers(episode, "/decisions")
+    assert len(values) == first.decisions
+    assert set(decided_ns) <= set(times), "at the state that it was made on"
+    ticks = pq.read_table(path.with_suffix(".ticks.parquet")).to_pylist()
+    assert [tick["tick"] for tick in ticks] == list(range(first.steps))
+    decisions = pq.read_table(path.with_suffix(".decisions.parquet")).to_pylist()
+    assert all(d["sample_s"] > 0 and d["round_trip_s"] >= d["sample_s"] + d["score_s"] for d in decisions)
+    assert all(d["arrived"] - d["frame"] >= d["dropped"] for d in decisions)
+    assert json.loads(done.report.to_json())["episodes"][0]["held"] == 0
+
+
+def test_a_decision_that_takes_longer_than_its_actions_is_waited_for(asked, torque):
+    slow = replace(asked, settings=replace(asked.settings, execute=1), guidance=("full",), seconds=5.0)
+    done, _ = ran(slow, make_agent=robot_agents.short_chunks)
+    (episode,) = done.report.episodes
+    assert episode.held > 10
+    assert episode.acting - episode.held > 10
+    assert torque() == OFF
+
+
+@pytest.mark.parametrize(
+    ("agent", "message"),
+    [
+        (robot_agents.nan, "has nan for elbow_flex"),
+        (robot_agents.stall, "have not decided anything for 2 s"),
+        (robot_agents.crash, "the process of policy and critic has ended with 9"),
+    ],
+)
+def test_a_policy_that_fails_stops_the_arm(arm, asked, torque, tmp_path, agent, message):
+    done, said = ran(replace(asked, seconds=30.0), make_agent=agent)
+    assert isinstance(done.problem, RobotError)
+    assert message in str(done.problem)
+    assert torque() == OFF
+    assert any("Take hold of the arm" in one for one in said)
+    _, episode = recorded(tmp_path)
+    assert len(numbers(episode, "/action")[1]) == done.report.episodes[0].steps > 5
+
+
+def test_what_is_out_of_range_is_clamped_and_counted(asked, torque):
+    done, _ = ran(asked, make_agent=robot_agents.far)
+    assert done.problem is None
+    assert done.report.episodes[0].clamped > 10
+    assert torque() == OFF
+
+
+@pytest.mark.parametrize(
+    ("faults", "message"),
+    [
+        (Faults(mute=frozenset({3})), r"servo 3 \(elbow_flex\) does not answer. Check the cable"),
+        (Faults(jam=frozenset({1})), r"servo 1 \(shoulder_pan\) (stays|reports an overload) .* Free"),
+        (Faults(unplugged=True), "is gone in the middle of work"),
+    ],
+)
+def test_a_fault_in_the_middle_of_an_episode_leaves_what_was_recorded(arm, asked, tmp_path, until, faults, message):
+    def strike() -> None:
+        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.1)
+        arm.faults = faults
+
+    thread = Thread(target=strike)
+    thread.start()
+    done, _ = ran(replace(asked, seconds=30.0))
+    thread.join()
+    assert done.problem is not None
+    with pytest.raises(RobotError, match=message):
+        raise done.problem
+    _, episode = recorded(tmp_path)
+    assert len(numbers(episode, "/action")[1]) == done.report.episodes[0].steps > 5
+
+
+def test_recordings_are_numbered_on_and_none_is_replaced(asked, tmp_path):
+    folder = tmp_path / "jiti"
+    folder.mkdir()
+    for number in (0, 7):
+        (folder / f"so100-T2_{number:04d}.mcap").write_bytes(b"")
+    done, _ = ran(replace(asked, seconds=0.5))
+    assert [(e.seed, Path(e.recording or "").name) for e in done.report.episodes] == [(8, "so100-T2_0008.mcap")]
+    with pytest.raises(UsageError, match=r"so100-T2_0007.mcap is there already"):
+        ran(replace(asked, seed=6, episodes=2))
+
+
+def test_a_dry_run_says_where_it_would_go(arm, asked, torque, tmp_path):
+    before = arm.memories()[1].read(0, 56)
+    done, said = ran(replace(asked, dry_run=True))
+    assert done.problem is None
+    assert any("shoulder_pan 0 -> " in one for one in said)
+    assert arm.memories()[1].read(0, 56) == before
+    assert torque() == OFF
+
+
+def test_it_is_shown_live_and_that_is_kept(asked, tmp_path):
+    from jiti.runtime.robot.live import LiveArm
+    from jiti.runtime.robot.recording import Recording
+
+    joints = ("shoulder_pan", "gripper")
+    shown = LiveArm(tmp_path / "one.rrd", None, joints, (), tau=0.5)
+    recording = Recording(None, joints, (), shown=shown)
+    for number in range(5):
+        sent = dict.fromkeys(joints, 1.0 * number)
+        seen = {f"{name}.pos": value for name, value in sent.items()}
+        recording.ticked(Tick(number, number, seen, sent, sent, (), True, 0.03, 0.0, 0.0, 0.0))
+    recording.finish("time")
+    assert b"joints/gripper" in (tmp_path / "one.rrd").read_bytes()
+    assert len(recording.ticks) == 5
+
+
+def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
+    for change, message in (
+        ({"policy": None}, "pass --policy"),
+        ({"task": None}, "pass --task|Pass --task"),
+        ({"critic": None}, "needs a critic"),
+        ({"tau": None}, "needs a threshold: pass --tau"),
+        ({"guidance": ("none", "jiti")}, "one guidance at a time"),
+        ({"settings": replace(asked.settings, port="")}, "which port"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            ran(replace(asked, **change))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_no_torque_and_the_recording(arm, torque, tmp_path, until, number):
+    with _program(arm, tmp_path) as program:
+        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        os.kill(program.pid, number)
+        told, _ = program.communicate(timeout=60)
+    assert program.returncode == 128 + number
+    assert f"stopped by {number.name}" in told
+    assert torque() == OFF
+    _, episode = recorded(tmp_path)
+    assert len(numbers(episode, "/joints")[1]) > 10
+
+
+def test_space_in_the_terminal_stops_it(arm, torque, tmp_path, until):
+    ours, theirs = pty.openpty()
+    with _program(arm, tmp_path, stdin=theirs) as program:
+        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        os.write(ours, b" ")
+        told, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    assert "stopped by Space" in told
+    assert torque() == OFF
+    assert recorded(tmp_path)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_a_second_program_on_the_port_is_refused_and_the_first_goes_on(arm, torque, tmp_path, until):
+    with _program(arm, tmp_path / "first") as first:
+        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        with _program(arm, tmp_path / "second") as second:
+            told, _ = second.communicate(timeout=60)
+        assert second.returncode == 1
+        assert "End it first" in told or "End other programs" in told
+        assert torque() == [1] * 6
+        assert first.poll() is None
+        first.terminate()
+        first.communicate(timeout=60)
+    assert torque() == OFF
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guidance", ["none", "jiti"])
+def test_a_minute_at_30_hz(asked, torque, guidance):
+    """With SmolVLA's measured latencies: 112 ms for a chunk, 449 ms with all candidates, which a third asks for."""
+    done, _ = ran(replace(asked, guidance=(guidance,), seconds=60.0), make_agent=robot_agents.smolvla)
+    (episode,) = done.report.episodes
+    assert done.problem is None
+    assert episode.acting == 1800
+    assert episode.held == 0
+    assert episode.period_ms.p99 <= 40
+    assert torque() == OFF
+
+
+def _program(arm, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    return subprocess.Popen(
+        robot_rollout.command(arm, out),
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment,
+    )

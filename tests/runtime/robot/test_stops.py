@@ -1,0 +1,62 @@
+"""Keys of a terminal and signals, and that all is as before afterwards."""
+
+import os
+import pty
+import signal
+import sys
+import termios
+
+import pytest
+
+from jiti.runtime.robot.stops import Stopped, Stops
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    ours, theirs = pty.openpty()
+    with open(theirs, closefd=True) as file:  # noqa: PTH123 - a descriptor
+        monkeypatch.setattr(sys, "stdin", file)
+        yield ours, theirs
+    os.close(ours)
+
+
+def press(stops, ours, key):
+    os.write(ours, key)
+    return any(stops.look() for _ in range(1000))
+
+
+def test_space_stops_enter_ends_the_episode_and_others_do_nothing(terminal):
+    ours, theirs = terminal
+    before = termios.tcgetattr(theirs)
+    with Stops() as stops:
+        assert not stops.look()
+        assert not press(stops, ours, b"x")
+        assert press(stops, ours, b"\n")
+        with pytest.raises(Stopped, match="Space") as stopped:
+            press(stops, ours, b" ")
+        assert stopped.value.exit_code == 0
+    assert termios.tcgetattr(theirs) == before
+
+
+def guarded_and_looked_at(stops, number, heard):
+    with stops.guarded():
+        os.kill(os.getpid(), number)  # raises nothing here
+        heard.append(number)
+        stops.look()
+        heard.append(number)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_waits_for_a_look_while_guarded_and_raises_at_once_otherwise(number):
+    before = signal.getsignal(number)
+    with Stops(keys=False) as stops:
+        heard: list[int] = []
+        with pytest.raises(Stopped) as stopped:
+            guarded_and_looked_at(stops, number, heard)
+        assert heard == [number], "raised by the look, not before it, and not after it"
+        assert stopped.value.exit_code == 128 + number
+        with pytest.raises(Stopped, match=number.name), stops.guarded():
+            os.kill(os.getpid(), number)  # at the end, where nothing looked
+        with pytest.raises(Stopped):
+            os.kill(os.getpid(), number)
+    assert signal.getsignal(number) == before
