@@ -27,8 +27,8 @@ Pick = Literal["best", "median", "worst", "random"]
 CANDIDATES = 8
 """N, main paper and supplement G.6."""
 WINDOW = 2
-"""k is not published. Our choice, in decisions: with a mean over 5, what was decided two decisions ago still triggers, and
-in LIBERO-Elegant, on tuning seeds, JITI gained less (docs/rollouts.md)."""
+"""k is not published. Our choice, in decisions: with a mean over 5, what was decided long before still triggers, and in
+LIBERO-Elegant, on tuning seeds, JITI gained less (docs/rollouts.md)."""
 
 Sample = Callable[[np.ndarray], np.ndarray]
 """Noise (n, K, A) to action chunks (n, K, A), for one observation."""
