@@ -162,8 +162,8 @@ class RunSettings:
     check_every: int = 500
     """Steps between looks at the validation split and checkpoints. Our choice."""
     patience: int = 10
-    """Looks after which training ends if none was better: a better ranking, or the same with a lower L_Bellman. 0 never
-    ends early. Our choice."""
+    """Looks after which training ends if none was better: a better ranking, or where that is unknown a lower L_Bellman.
+    0 never ends early. Our choice."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "log_every", "check_every"):

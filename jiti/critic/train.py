@@ -129,11 +129,11 @@ def train(
                     metrics.add(step, {name: float(value) for name, value in told.items()})
                 progress(step / settings.run.steps, f"step {step} of {settings.run.steps}")
                 if step % settings.run.check_every == 0 or step == settings.run.steps:
-                    seen, better = looking.look(state)
+                    seen, kept = looking.look(state)
                     stopped = _enough(state, settings)
                     if metrics:
                         metrics.add(step, {f"validation/{name}": value for name, value in seen.items()})
-                        if better:
+                        if kept:
                             save_critic(_kept(state, settings), run, {"step": step, "validation": seen})
                     keep()
                     team.wait()
@@ -164,7 +164,10 @@ def _kept(state: State, settings: Settings) -> Critic:
 
 
 class _Looking:
-    """Looks at the validation split: ranking of decided segments first, L_Bellman where that is equal, or unknown."""
+    """Looks at the validation split: ranking of decided segments, L_Bellman where that is unknown.
+
+    Of steps that rank alike the last is kept, which learned most: their L_Bellman grows with the values learned.
+    """
 
     def __init__(
         self, data: ElegantData, cache: FeatureCache, episodes: np.ndarray, settings: Settings, team: Team
@@ -174,7 +177,7 @@ class _Looking:
         self._frames = spread(data.frames_of(episodes), LOOK_FRAMES)
 
     def look(self, state: State) -> tuple[dict[str, float], bool]:
-        """What was seen, and whether the critic is the best so far, which is always so without a validation split."""
+        """What was seen, and whether the critic is to be kept, which is always so without a validation split."""
         if not len(self._frames):
             return {}, True
         critic = _kept(state, self._settings)
@@ -183,12 +186,13 @@ class _Looking:
         error = bellman_error(state, batch, self._settings.loss)
         known = {} if np.isnan(ranking.average) else {"auc": ranking.average}
         seen = {**known, "bellman": error} | {f"auc/{k}": v for k, v in ranking.auc.items()}
-        score, before = ((said.get("auc", 0.0), -said["bellman"]) for said in (seen, state.best or seen))
+        score, before = (said.get("auc", -said["bellman"]) for said in (seen, state.best or seen))
         better = not state.best or score > before
-        if better:
+        kept = better or ("auc" in known and score == before)
+        if kept:
             state.best = {**known, "bellman": error, "step": float(state.step)}
         state.looks_without_better = 0 if better else state.looks_without_better + 1
-        return seen, better
+        return seen, kept
 
 
 def _batch(

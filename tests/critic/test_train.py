@@ -121,6 +121,9 @@ def test_a_toy_is_learned_and_training_ends_when_it_does_not_become_better(toy):
     assert done.best["auc"] == 1.0
     assert done.stopped_early
     assert done.step < 400
+    told = pq.read_table(toy.parent / "run" / "metrics").to_pylist()
+    ranked = {row["step"]: row["value"] for row in told if row["name"] == "validation/auc"}
+    assert done.best["step"] == max(step for step, auc in ranked.items() if auc == 1.0) > min(ranked)
     again = run(toy, "run", small(400, run={"check_every": 20, "patience": 3, "log_every": 10}))
     assert again.step == done.step
 
