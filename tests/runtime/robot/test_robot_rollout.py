@@ -26,7 +26,7 @@ from tests.builders import robot_agents, robot_rollout
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore")]
 """lerobot and what it imports warn of themselves."""
 CATALOGUE = load_catalogue()
 OFF = [0] * 6

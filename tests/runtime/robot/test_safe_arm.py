@@ -16,7 +16,7 @@ from jiti.runtime.robot.virtual import Faults, VirtualArm, registers
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore")]
 """lerobot and what it imports warn of themselves."""
 ON, OFF = [1] * 6, [0] * 6
 

@@ -19,7 +19,7 @@ from jiti.runtime.robot.virtual import registers as r
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore")]
 """lerobot and what it imports warn of themselves."""
 
 GOAL = {

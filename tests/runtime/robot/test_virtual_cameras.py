@@ -7,7 +7,12 @@ from jiti.errors import UsageError
 from jiti.runtime.robot.virtual import VirtualArm
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
-pytestmark = [pytest.mark.sim, pytest.mark.filterwarnings("ignore"), pytest.mark.usefixtures("graphics")]
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.sim,
+    pytest.mark.filterwarnings("ignore"),
+    pytest.mark.usefixtures("graphics"),
+]
 """lerobot and what it imports warn of themselves."""
 
 SIZE = {"width": 160, "height": 120, "fps": 5}

@@ -85,9 +85,16 @@ class ArmProcess:
         return answer
 
 
+URGENT = -15
+"""Niceness. Servos answer whatever the computer is at, and lerobot waits 50 ms for them: where this user may, the arm
+goes before other programs. It takes a tenth of a core."""
+
+
 def main(task_id: str, seed: str, link: str, descriptor: str) -> None:
     """The side of the arm: ends when the other one closes the pipe, or is no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, URGENT)
     pipe = Connection(int(descriptor))
     try:
         world = World(task_id, seed=int(seed))
