@@ -148,7 +148,8 @@ class Inference:
 
 def _serve(pipe: Connection, brain: Brain, make_agent: OpenAgent) -> None:
     """The side of policy and critic; ends with the other one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # a terminal sends them to every process
+        signal.signal(number, signal.SIG_IGN)
     desk = _Desk(brain, make_agent)
     with suppress(EOFError, OSError):
         while True:

@@ -15,7 +15,11 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Self
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (
+    *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+    signal.SIGQUIT,  # would end the program with the torque on
+    *(signal.SIGTSTP, signal.SIGTTIN),  # would suspend it, and the watchdog with it
+)
 STOP, NEXT = " ", "\n"
 """Space ends everything, Enter the episode."""
 
@@ -77,7 +81,7 @@ class Stops:
             raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
 
     def _pressed(self) -> str:
-        if not self._keys or not select.select([sys.stdin], [], [], 0)[0]:
+        if not self._keys or not _in_front() or not select.select([sys.stdin], [], [], 0)[0]:
             return ""
         return os.read(sys.stdin.fileno(), 64).decode(errors="ignore")
 
@@ -85,3 +89,11 @@ class Stops:
         if not self._guarded:
             raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
         self._signal = number
+
+
+def _in_front() -> bool:
+    """Whether a key may be read: in the background each try is answered with SIGTTIN."""
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # not the terminal that controls this program
+        return True

@@ -8,7 +8,7 @@ import termios
 
 import pytest
 
-from jiti.runtime.robot.stops import Stopped, Stops
+from jiti.runtime.robot.stops import SIGNALS, Stopped, Stops
 
 
 @pytest.fixture
@@ -46,7 +46,11 @@ def guarded_and_looked_at(stops, number, heard):
         heard.append(number)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_would_end_or_suspend_the_program_is_listened_to():
+    assert {signal.SIGQUIT, signal.SIGTSTP, signal.SIGTTIN} < set(SIGNALS)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_waits_for_a_look_while_guarded_and_raises_at_once_otherwise(number):
     before = signal.getsignal(number)
     with Stops(keys=False) as stops:

@@ -87,7 +87,8 @@ class ArmProcess:
 
 def main(task_id: str, seed: str, link: str, descriptor: str) -> None:
     """The side of the arm: ends when the other one closes the pipe, or is no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # a terminal sends them to every process
+        signal.signal(number, signal.SIG_IGN)
     pipe = Connection(int(descriptor))
     try:
         world = World(task_id, seed=int(seed))
