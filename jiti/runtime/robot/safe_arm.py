@@ -10,7 +10,7 @@ An arm that is still engaged at the end of `with` is stopped: held where it is w
 go, servo by servo, whatever fails. So does its watchdog when no command comes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import cycle
 from pathlib import Path
@@ -25,6 +25,7 @@ from jiti.runtime.robot.limits import GRIPPER, Checked, Joints, limits_of
 from jiti.runtime.robot.opening import check_calibration, check_range, configure
 from jiti.runtime.robot.port_lock import PortLock
 from jiti.runtime.robot.settings import RobotSettings
+from jiti.runtime.robot.teller import Say, Teller
 from jiti.runtime.robot.watchdog import Watchdog
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ WRITE_S = 0.5
 """In which the port must take a packet. Our choice: a packet takes 0.3 ms."""
 LOOK_S = 0.2
 """How often a cable that is out is looked for."""
-Say = Callable[[str], None]
 
 
 class SafeArm:
@@ -88,6 +88,7 @@ class SafeArm:
     def __enter__(self) -> Self:
         """Raises RobotError, after which the arm is as it was, or at rest."""
         self._lock = PortLock(self.settings.port)
+        self._tell = Teller(self._say)
         try:
             self._open()
         except BaseException:
@@ -130,6 +131,7 @@ class SafeArm:
         with suppress(Exception):  # a cable that is out
             self._bus.port_handler.closePort()
         self._lock.release()
+        self._tell.close()
 
     def engage(self) -> None:
         """Turn the torque on where the arm is: its positions become its goals first. Raises RobotError."""
@@ -206,15 +208,17 @@ class SafeArm:
         """Hold the arm where it is, then release it. Raises RobotError like `release`, which then also tells what the
         arm was stopped for."""
         self._watchdog.stop()
-        if self.engaged:
-            with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
-                servos.freeze(self._bus)
-                self._say(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
-                sleep(self.settings.release_after_s)
         try:
-            self.release()
-        except RobotError as worse:
-            raise RobotError(f"{because} {worse}") from because if because else worse
+            if self.engaged:
+                with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
+                    servos.freeze(self._bus)
+                    self._tell(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
+                    sleep(self.settings.release_after_s)
+        finally:
+            try:
+                self.release()
+            except RobotError as worse:
+                raise RobotError(f"{because} {worse}") from because if because else worse
 
     def _let_go(self) -> list[str]:
         """Names of servos that did not confirm it. A cable that is out is waited for."""
@@ -228,7 +232,7 @@ class SafeArm:
 
     def _wait_for_cable(self, end: float) -> None:
         port = self.settings.port
-        self._say(
+        self._tell(
             f"{port} is gone, and the servos keep their torque. Plug the cable in again within "
             f"{self.settings.replug_s:g} s, or hold the arm and switch its power off."
         )
@@ -308,10 +312,10 @@ class SafeArm:
             raise RobotError(self._given_up)
 
     def _hold_by_watchdog(self) -> None:
+        after_s = self.settings.release_after_s
         with suppress(*servos.CABLE_OUT), self._line:
             servos.freeze(self._bus)
-        after_s = self.settings.release_after_s
-        self._say(f"No command for {self.settings.hold_after_s:g} s: the arm is held, and let go in {after_s:g} s.")
+        self._tell(f"No command for {self.settings.hold_after_s:g} s: the arm is held, and let go in {after_s:g} s.")
 
     def _release_by_watchdog(self) -> None:
         self._given_up = (

@@ -248,6 +248,25 @@ def test_without_commands_it_is_held_and_then_let_go(arm, opened, torque, until)
             safe.hold()
 
 
+def test_a_terminal_that_blocks_does_not_keep_the_torque_on(settings, torque, until):
+    from jiti.runtime.robot.safe_arm import SafeArm
+
+    with SafeArm(replace(settings, hold_after_s=0.4), say=lambda _: sleep(30)) as safe:
+        safe.engage()
+        until(lambda: torque() == OFF)
+
+
+def test_a_terminal_that_is_gone_does_not_keep_the_torque_on(settings, torque):
+    from jiti.runtime.robot.safe_arm import SafeArm
+
+    def say(_said: str) -> None:
+        raise BrokenPipeError
+
+    with SafeArm(settings, say=say) as safe:
+        safe.engage()
+    assert torque() == OFF
+
+
 def test_a_dry_run_writes_nothing(arm, settings, torque):
     from jiti.runtime.robot.safe_arm import SafeArm
 
