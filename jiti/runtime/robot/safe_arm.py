@@ -247,10 +247,9 @@ class SafeArm:
     def _opened_again(self) -> bool:
         with suppress(*servos.CABLE_OUT):
             self._bus.port_handler.closePort()
+        self._lock.release()  # first, because the new port may be the old device
         try:
-            new = PortLock(self.settings.port)
-            self._lock.release()
-            self._lock = new
+            self._lock = PortLock(self.settings.port)
             self._bus.port_handler.openPort()
         except (RobotError, *servos.CABLE_OUT):
             return False
