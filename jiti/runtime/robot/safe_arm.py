@@ -69,6 +69,7 @@ class SafeArm:
         self._bus = self.robot.bus
         self.joints = tuple(self._bus.motors)
         self.engaged = False
+        """Whether a servo may have torque."""
         self.goal: dict[str, float] = {}
         """Where it was sent last, by joint."""
         self.overloads: dict[str, int] = dict.fromkeys(self.joints, 0)
@@ -78,6 +79,7 @@ class SafeArm:
         self._line = RLock()
         self._next_looked_at = cycle(self.joints)
         self._given_up = ""
+        self._letting_go = False
         self._watchdog = Watchdog(
             self._hold_by_watchdog,
             self._release_by_watchdog,
@@ -138,7 +140,7 @@ class SafeArm:
         if self.dry:
             self.goal = self._read()
             return
-        self._given_up = ""
+        self._given_up, self._letting_go = "", False
         with self._line, self._explained("cannot be engaged"):
             check_range(self._bus, self.settings.max_step)
             positions = self._bus.sync_read("Present_Position", normalize=False, num_retry=servos.TRIES)
@@ -190,26 +192,25 @@ class SafeArm:
         self._send(self.goal)
 
     def release(self) -> None:
-        """Take the torque from every servo. Raises RobotError that names those that did not confirm it."""
+        """Take the torque from every servo. Raises RobotError that names those that did not confirm it; the arm is
+        engaged then, and may be released again."""
         self._watchdog.stop()
         if not self.engaged:
             return
-        try:
-            silent = self._let_go()
-        finally:
-            self.engaged = False
-        if silent:
+        self._letting_go = True
+        if silent := self._let_go():
             raise RobotError(
                 f"{servos.told(self._bus, silent)} did not say that its torque is off. Hold the arm, and switch its "
                 "power off; then check the cable to that servo."
             )
+        self.engaged = False
 
     def stop(self, because: BaseException | None = None) -> None:
-        """Hold the arm where it is, then release it. Raises RobotError like `release`, which then also tells what the
-        arm was stopped for."""
+        """Hold the arm where it is, unless it was being let go, then release it. Raises RobotError like `release`,
+        which then also tells what the arm was stopped for, and what its watchdog did."""
         self._watchdog.stop()
         try:
-            if self.engaged:
+            if self.engaged and not self._letting_go:
                 with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
                     servos.freeze(self._bus)
                     self._tell(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
@@ -218,7 +219,7 @@ class SafeArm:
             try:
                 self.release()
             except RobotError as worse:
-                raise RobotError(f"{because} {worse}") from because if because else worse
+                raise RobotError(_joined(because or "", self._given_up, worse)) from because or worse
 
     def _let_go(self) -> list[str]:
         """Names of servos that did not confirm it. A cable that is out is waited for."""
@@ -360,6 +361,14 @@ class SafeArm:
                     "power, and the cable that leads to it."
                 ) from error
             raise RobotError(f"the arm at {self.settings.port} {what}: {_own_words(error)}. {remedy}") from error
+
+
+def _joined(*told: object) -> str:
+    """What was told, without what another part of it has told already."""
+    whole = ""
+    for part in map(str, told):
+        whole = whole if part in whole else part if whole in part else f"{whole} {part}"
+    return whole
 
 
 def _own_words(error: BaseException) -> str:

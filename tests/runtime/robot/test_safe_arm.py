@@ -166,6 +166,12 @@ def test_a_servo_that_does_not_confirm_its_release_is_told(arm, opened, torque):
             RobotError, match=r"servo 3 \(elbow_flex\), servo 5 \(wrist_roll\) did not say that its torque"
         ):
             safe.release()
+        assert safe.engaged, "it is to be tried again"
+        with pytest.raises(RobotError, match=r"^why servo 3 .* switch its power off; then check the cable[^.]*\.$"):
+            safe.stop(ValueError("why"))
+        arm.faults = Faults()
+    assert not safe.engaged
+    assert not any("Take hold" in said for said in opened.said), "it had been let go"
     assert torque() == OFF
 
 
