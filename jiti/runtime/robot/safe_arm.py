@@ -144,10 +144,10 @@ class SafeArm:
         with self._line, self._explained("cannot be engaged"):
             check_range(self._bus, self.settings.max_step)
             positions = self._bus.sync_read("Present_Position", normalize=False, num_retry=servos.TRIES)
+            self.engaged = True  # some servos take torque with a goal
             for name, position in positions.items():
                 self._bus.write("Goal_Position", name, position, normalize=False, num_retry=servos.TRIES)
             self.goal = self._read()
-            self.engaged = True
             self._bus.enable_torque(num_retry=servos.TRIES)
         self._watchdog.start()
 
@@ -261,10 +261,13 @@ class SafeArm:
         if not self.dry:
             try:
                 with self._line:
+                    self._check_watchdog()  # which may have let the arm go while the line was waited for
                     self.robot.send_action({f"{name}.pos": angle for name, angle in goal.items()})
+                    self.goal = dict(goal)
             except servos.CABLE_OUT as error:
                 raise self._cable_out() from error
-        self.goal = dict(goal)
+        else:
+            self.goal = dict(goal)
         self._watchdog.feed()
 
     def _read(self) -> dict[str, float]:
