@@ -318,6 +318,7 @@ class SafeArm:
         after_s = self.settings.release_after_s
         with suppress(*servos.CABLE_OUT), self._line:
             servos.freeze(self._bus)
+            self.goal = self._read()  # from where a command that comes late goes on
         self._tell(f"No command for {self.settings.hold_after_s:g} s: the arm is held, and let go in {after_s:g} s.")
 
     def _release_by_watchdog(self) -> None:
