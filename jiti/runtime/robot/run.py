@@ -53,6 +53,7 @@ class Runner:
 
     def open(self) -> Facts:
         """Wait for policy and critic; the arm is at rest meanwhile."""
+        self.arm.begin_reading()
         for _ in range(round(OPEN_S * self.arm.settings.fps)):
             if (seen := self.arm.observe()) is not None:
                 return self.inference.open(observation_of(seen, self.arm.joints, tuple(self.arm.robot.cameras)))

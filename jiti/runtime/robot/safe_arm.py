@@ -123,6 +123,10 @@ class SafeArm:
                     raise RobotError(
                         f"camera {name!r} does not open: {error}. `lerobot-find-cameras` lists those there are."
                     ) from error
+        self.begin_reading()
+
+    def begin_reading(self) -> None:
+        """How long the arm was not read until now does not count."""
         self._heard_s = monotonic()
         self._behind_s: dict[str, float] = {}
 
@@ -137,6 +141,7 @@ class SafeArm:
 
     def engage(self) -> None:
         """Turn the torque on where the arm is: its positions become its goals first. Raises RobotError."""
+        self.begin_reading()
         if self.dry:
             self.goal = self._read()
             return
