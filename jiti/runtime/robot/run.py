@@ -67,7 +67,8 @@ class Runner:
             problem = self._episode(facts, seed, recording, seconds)
             ended = str(problem) if problem else "time or Enter"
             try:
-                recording.finish(ended)
+                with self.stops.guarded():
+                    recording.finish(ended)
             except Exception as error:
                 problem = problem or error
             done.append(summarize(recording, seed, ended))

@@ -149,7 +149,7 @@ class SafeArm:
         with self._line, self._explained("cannot be engaged"):
             check_range(self._bus, self.settings.max_step)
             positions = self._bus.sync_read("Present_Position", normalize=False, num_retry=servos.TRIES)
-            self.engaged = True  # some servos take torque with a goal
+            self.engaged = True  # what fails from here on is stopped
             for name, position in positions.items():
                 self._bus.write("Goal_Position", name, position, normalize=False, num_retry=servos.TRIES)
             self.goal = self._read()
