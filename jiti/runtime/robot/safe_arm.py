@@ -204,10 +204,12 @@ class SafeArm:
             return
         self._letting_go = True
         if silent := self._let_go():
-            raise RobotError(
+            warning = (
                 f"{servos.told(self._bus, silent)} did not say that its torque is off. Hold the arm, and switch its "
                 "power off; then check the cable to that servo."
             )
+            self._tell(warning)  # at once: the error is told when all is saved
+            raise RobotError(warning)
         self.engaged = False
 
     def stop(self, because: BaseException | None = None) -> None:
@@ -246,9 +248,9 @@ class SafeArm:
             sleep(LOOK_S)
             if self._opened_again():
                 return
-        raise RobotError(
-            f"{port} did not come back: all servos may still have torque. Hold the arm, and switch its power off."
-        )
+        warning = f"{port} did not come back: all servos may still have torque. Hold the arm, and switch its power off."
+        self._tell(warning)
+        raise RobotError(warning)
 
     def _opened_again(self) -> bool:
         with suppress(*servos.CABLE_OUT):
