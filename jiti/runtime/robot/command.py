@@ -85,6 +85,8 @@ def run_robot(
     Raises UsageError for what does not fit together or is missing, RobotError for an arm that cannot begin.
     """
     ran: list[Ran] = []
+    if request.dry_run:  # a recording would be taken for one of an arm that moved
+        request = replace(request, record=False)
     try:
         _run(request, catalogue, say, make_agent, after_episode, cameras, ran.append)
     except (RobotError, Stopped) as error:  # at the end, where an arm is let go
