@@ -38,6 +38,16 @@ def test_space_stops_enter_ends_the_episode_and_others_do_nothing(terminal):
     assert termios.tcgetattr(theirs) == before
 
 
+def test_a_terminal_that_is_gone_stops_it(monkeypatch):
+    ours, theirs = pty.openpty()
+    with open(theirs, closefd=True) as file:  # noqa: PTH123 - a descriptor
+        monkeypatch.setattr(sys, "stdin", file)
+        with Stops() as stops:
+            os.close(ours)
+            with pytest.raises(Stopped, match="terminal is gone"):
+                stops.look()
+
+
 def guarded_and_looked_at(stops, number, heard):
     with stops.guarded():
         os.kill(os.getpid(), number)  # raises nothing here
