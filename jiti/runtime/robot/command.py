@@ -139,7 +139,12 @@ def _run(
             runner.watchers = (Told(say, arm.joints),)
         say("Loading policy and critic; the arm has no torque.")
         facts = runner.open()
-        say("Dry run: nothing is sent." if request.dry_run else "Space stops the arm at once, Enter ends an episode.")
+        if request.dry_run:
+            say("Dry run: nothing is sent.")
+        keys = (
+            "Space stops the arm at once, Enter ends an episode." if stops.keys else "Ctrl-C or SIGTERM stops the arm."
+        )
+        say(keys)
         done, problem = runner.play(facts, list(paths), request.seconds)
         taken = {"policy": request.policy, "critic": request.critic, "settings": asdict(request.settings)}
         taken |= {"tau": guidance.tau, "execute": facts.execute, "dry_run": request.dry_run}
