@@ -304,9 +304,10 @@ class SafeArm:
             with self._line:
                 self._bus.read("Status", name)
         except RuntimeError as error:
-            self.overloads[name] += 1
-            if name != GRIPPER:  # which overloads when it holds a thing for long, and keeps holding it
-                what = str(error).rpartition("]")[2].strip(" !").lower()
+            what = str(error).rpartition("]")[2].strip(" !").lower()
+            overload = "overload" in what
+            self.overloads[name] += overload
+            if name != GRIPPER or not overload:  # it overloads when it holds a thing for long, and keeps holding it
                 raise RobotError(
                     f"{servos.told(self._bus, [name])} reports an {what}. Free it, let it cool down, and check its "
                     "voltage."
