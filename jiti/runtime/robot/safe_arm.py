@@ -160,15 +160,13 @@ class SafeArm:
         """lerobot's observation: angles under `<joint>.pos`, pictures (height, width, 3) uint8 by camera.
 
         None where the line was too bad this time. Raises RobotError where it stays so, the cable is out, a joint does
-        not follow, or a servo is overloaded.
+        not follow, a servo is overloaded, or a camera gives no picture.
         """
         self._check_watchdog()
         for _ in range(TRIES):
             try:
                 with self._line:
-                    seen = self.robot.get_observation()
-            except TimeoutError as error:
-                raise RobotError(f"{error}. Check the camera's cable.") from error
+                    read = self._bus.sync_read("Present_Position")
             except ConnectionError:
                 self.misread += 1
                 self._settle()
@@ -176,9 +174,9 @@ class SafeArm:
             except servos.CABLE_OUT as error:
                 raise self._cable_out() from error
             self._heard_s = monotonic()
-            self._check_follows({name: seen[f"{name}.pos"] for name in self.joints})
+            self._check_follows(read)
             self._look_at(next(self._next_looked_at))
-            return seen
+            return {f"{name}.pos": position for name, position in read.items()} | self._pictures()
         if monotonic() - self._heard_s > self.settings.lost_s:
             raise self._lost()
         return None
@@ -279,6 +277,16 @@ class SafeArm:
 
     def _read(self) -> dict[str, float]:
         return self._bus.sync_read("Present_Position", num_retry=servos.TRIES)
+
+    def _pictures(self) -> dict[str, Any]:
+        """The latest of each camera."""
+        pictures = {}
+        for name, camera in self.robot.cameras.items():
+            try:
+                pictures[name] = camera.read_latest()
+            except (RuntimeError, OSError) as error:  # TimeoutError and ConnectionError are OSErrors
+                raise RobotError(f"camera {name!r} gives no picture: {_own_words(error)}. Check its cable.") from error
+        return pictures
 
     def _settle(self) -> None:
         with self._line:

@@ -175,6 +175,17 @@ def test_a_servo_that_does_not_confirm_its_release_is_told(arm, opened, torque):
     assert torque() == OFF
 
 
+def test_a_camera_that_gives_no_picture_is_named(opened):
+    class Dead:
+        def read_latest(self):
+            raise TimeoutError("the latest is too old.")
+
+    with opened() as safe:
+        safe.robot.cameras["front"] = Dead()
+        with pytest.raises(RobotError, match=r"camera 'front' gives no picture: the latest is too old\. Check"):
+            safe.observe()
+
+
 def test_a_corrupt_line_is_borne(arm, opened, torque):
     with opened() as safe:
         safe.engage()
