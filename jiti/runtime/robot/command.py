@@ -1,13 +1,13 @@
 """`jiti rollout --robot`, whole: from what a user asked for to what is printed."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jiti.durable import make_folder
-from jiti.errors import UsageError
+from jiti.errors import RobotError, UsageError
 from jiti.runtime.guidance import CANDIDATES, WINDOW, Guidance, Pick
 from jiti.runtime.robot.inference import Brain, Inference, OpenAgent, open_agent
 from jiti.runtime.robot.live import LiveArm
@@ -16,7 +16,7 @@ from jiti.runtime.robot.report import RobotReport
 from jiti.runtime.robot.run import AfterEpisode, Runner
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
-from jiti.runtime.robot.stops import Stops
+from jiti.runtime.robot.stops import Stopped, Stops
 from jiti.runtime.robot.tick import Arrived, Tick, Watcher
 from jiti.runtime.robot.virtual import VirtualArm
 from jiti.runtime.rollout.live import SHOWN_SUFFIX
@@ -84,6 +84,28 @@ def run_robot(
 
     Raises UsageError for what does not fit together or is missing, RobotError for an arm that cannot begin.
     """
+    ran: list[Ran] = []
+    if request.dry_run:  # a recording would be taken for one of an arm that moved
+        request = replace(request, record=False)
+    try:
+        _run(request, catalogue, say, make_agent, after_episode, cameras, ran.append)
+    except (RobotError, Stopped) as error:  # at the end, where an arm is let go
+        if not ran:
+            raise
+        return replace(ran[0], problem=ran[0].problem or error)
+    return ran[0]
+
+
+def _run(
+    request: RobotRequest,
+    catalogue: Catalogue,
+    say: Say,
+    make_agent: OpenAgent,
+    after_episode: AfterEpisode,
+    cameras: "dict[str, CameraConfig] | None",
+    ended: Callable[[Ran], None],
+) -> None:
+    """`ended` is told what is to be printed, before all is closed."""
     task, guidance = _task(request, catalogue), _guidance(request)
     if request.policy is None:
         raise UsageError("an arm needs a policy of its own: pass --policy, a checkpoint or run of lerobot-train.")
@@ -117,16 +139,22 @@ def run_robot(
             runner.watchers = (Told(say, arm.joints),)
         say("Loading policy and critic; the arm has no torque.")
         facts = runner.open()
-        say("Dry run: nothing is sent." if request.dry_run else "Space stops the arm at once, Enter ends an episode.")
+        if request.dry_run:
+            say("Dry run: nothing is sent.")
+        keys = (
+            "Space stops the arm at once, Enter ends an episode." if stops.keys else "Ctrl-C or SIGTERM stops the arm."
+        )
+        say(keys)
         done, problem = runner.play(facts, list(paths), request.seconds)
         taken = {"policy": request.policy, "critic": request.critic, "settings": asdict(request.settings)}
         taken |= {"tau": guidance.tau, "execute": facts.execute, "dry_run": request.dry_run}
         report = RobotReport(
             task.task_id, request.settings.kind, label, taken, done, arm.misread, arm.overloads, folder
         )
-        if viewer is not None:
-            viewer.wait()
-    return Ran(report, problem)
+        ended(Ran(report, problem))
+        if viewer is not None and problem is None:
+            with suppress(Stopped):
+                viewer.wait()
 
 
 def _paths(request: RobotRequest, folder: Path, task: Task) -> dict[int, Path]:

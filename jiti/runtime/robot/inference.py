@@ -23,6 +23,8 @@ from jiti.runtime.rollout.decide import Decided, agent_for, decide
 
 END_S = 5.0
 """How long it may take to end by itself. Our choice."""
+GONE_S = 0.1
+"""How long an arm's loop waits to tell what a process ended with. Our choice: less than its watchdog does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +131,14 @@ class Inference:
         self.close()
 
     def _send(self, *message: Any) -> None:
-        with suppress(BrokenPipeError):  # told by what is received
+        with suppress(ConnectionError):  # told by what is received
             self._pipe.send(message)
 
     def _receive(self) -> Any:
         try:
             answer, error = self._pipe.recv()
         except (EOFError, ConnectionError):
-            self._process.join(END_S)
+            self._process.join(GONE_S)
             raise RobotError(
                 f"the process of policy and critic has ended with {self._process.exitcode}: the machine may be out of "
                 "memory. Pass a smaller --policy, or another --device."
@@ -148,7 +150,8 @@ class Inference:
 
 def _serve(pipe: Connection, brain: Brain, make_agent: OpenAgent) -> None:
     """The side of policy and critic; ends with the other one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # a terminal sends them to every process
+        signal.signal(number, signal.SIG_IGN)
     desk = _Desk(brain, make_agent)
     with suppress(EOFError, OSError):
         while True:

@@ -63,6 +63,7 @@ def run_episode(
     pace, tick, last_s = Pace(settings.period_s), 0, float("nan")
     steps = round(seconds * settings.fps)
     acting = 0
+    stops.look()  # an Enter of before this episode does not end it
     while acting < steps and not stops.look():
         began_s, began_ns = perf_counter(), time_ns()
         seen = arm.observe()
@@ -107,7 +108,9 @@ def run_episode(
 
 
 def go_back(arm: SafeArm, stops: Stops, rest: Joints) -> None:
-    """Move slowly to where the arm lay when it had no torque, so that it does not fall when it has none again."""
+    """Move slowly to where the arm lay when it had no torque, so that it does not fall when it has none again.
+
+    Raises RobotError where it does not get there, for the arm to be held until a person has hold of it."""
     pace = Pace(arm.settings.period_s)
     for _ in range(round(RETURN_S * arm.settings.fps)):
         stops.look()
@@ -119,6 +122,10 @@ def go_back(arm: SafeArm, stops: Stops, rest: Joints) -> None:
             {name: goal[name] + float(np.clip(rest[name] - goal[name], -RETURN_STEP, RETURN_STEP)) for name in rest}
         )
         pace.wait()
+    raise RobotError(
+        f"the arm did not get back to where it lay in {RETURN_S:g} s, and was let go where it was. Free its way, and "
+        "lay it down by hand."
+    )
 
 
 def _by_joint(action: np.ndarray, joints: tuple[str, ...]) -> dict[str, float]:

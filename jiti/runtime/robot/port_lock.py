@@ -12,6 +12,7 @@ class PortLock:
 
     def __init__(self, port: str) -> None:
         """Raises RobotError where there is no port, it may not be opened, or another process has it."""
+        self._descriptor: int | None = None
         try:
             self._descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
@@ -26,10 +27,14 @@ class PortLock:
 
     def exclude(self) -> None:
         """Keep out programs that ask for no lock, from now on; the arm's own driver has the port open by then."""
+        assert self._descriptor is not None
         fcntl.ioctl(self._descriptor, termios.TIOCEXCL)
 
     def release(self) -> None:
-        os.close(self._descriptor)
+        """Once is enough, and twice does no harm."""
+        if self._descriptor is not None:
+            descriptor, self._descriptor = self._descriptor, None
+            os.close(descriptor)
 
 
 def _why(port: str, error: OSError) -> str:

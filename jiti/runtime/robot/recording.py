@@ -5,6 +5,7 @@ what it was until then is kept.
 """
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from queue import Full, Queue
@@ -68,17 +69,21 @@ class Recording(Watcher):
         """Write what is left, with how the episode ended, and the tables. Raises SaveFailed."""
         self._queue.put(None)
         self._thread.join()
-        if self._shown is not None:
-            self._shown.close()
-        if self._writer is not None and self.path is not None:
-            self._writer.write_metadata(METADATA_NAME, {"ended": ended, "steps": str(len(self.ticks))})
-            self._writer.close()
-            for suffix, rows in ((TICKS, self.ticks), (DECISIONS, self.decisions)):
-                if rows:
-                    with replacing(self.path.with_suffix(suffix)) as temporary:
-                        pq.write_table(pa.Table.from_pylist(rows), temporary)
+        with ExitStack() as last:  # in reverse order, each whatever those before it raise
+            if self._shown is not None:
+                last.callback(self._shown.close)
+            if self._writer is not None and self.path is not None:
+                last.callback(self._write_table, self.path.with_suffix(DECISIONS), self.decisions)
+                last.callback(self._write_table, self.path.with_suffix(TICKS), self.ticks)
+                last.callback(self._writer.close)
+                self._writer.write_metadata(METADATA_NAME, {"ended": ended, "steps": str(len(self.ticks))})
         if self._error is not None:
             raise self._error
+
+    def _write_table(self, path: Path, rows: list[dict[str, Any]]) -> None:
+        if rows:
+            with replacing(path) as temporary:
+                pq.write_table(pa.Table.from_pylist(rows), temporary)
 
     def _put(self, given: Tick | Arrived) -> None:
         if self._error is not None:

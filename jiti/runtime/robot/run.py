@@ -53,6 +53,7 @@ class Runner:
 
     def open(self) -> Facts:
         """Wait for policy and critic; the arm is at rest meanwhile."""
+        self.arm.begin_reading()
         for _ in range(round(OPEN_S * self.arm.settings.fps)):
             if (seen := self.arm.observe()) is not None:
                 return self.inference.open(observation_of(seen, self.arm.joints, tuple(self.arm.robot.cameras)))
@@ -61,19 +62,27 @@ class Runner:
     def play(self, facts: Facts, seeds: Sequence[int], seconds: float) -> tuple[list[EpisodeSummary], Exception | None]:
         """Episodes, and what ended them before the last: Stopped, or an error. All that was done is saved."""
         done: list[EpisodeSummary] = []
-        for seed in seeds:
-            recording = self.make_recording(seed)
-            problem = self._episode(facts, seed, recording, seconds)
-            ended = str(problem) if problem else "time or Enter"
-            try:
-                recording.finish(ended)
-            except Exception as error:
-                problem = problem or error
-            done.append(summarize(recording, seed, ended))
-            if problem is not None:
-                return done, problem
-            self.after_episode(Recorded(self.task, self.label, seed, recording.path, ended))
+        try:
+            for seed in seeds:
+                self._play_one(facts, seed, seconds, done)
+        except Exception as problem:
+            return done, problem
         return done, None
+
+    def _play_one(self, facts: Facts, seed: int, seconds: float, done: list[EpisodeSummary]) -> None:
+        """An episode, which is added to those that are done before what ended it is raised."""
+        recording = self.make_recording(seed)
+        problem = self._episode(facts, seed, recording, seconds)
+        ended = str(problem) if problem else "time or Enter"
+        try:
+            with self.stops.guarded():
+                recording.finish(ended)
+        except Exception as error:
+            problem = problem or error
+        done.append(summarize(recording, seed, ended))
+        if problem is not None:
+            raise problem
+        self.after_episode(Recorded(self.task, self.label, seed, recording.path, ended))
 
     def _episode(self, facts: Facts, seed: int, recording: Recording, seconds: float) -> Exception | None:
         """What stopped it, after which the arm is at rest in any case."""

@@ -10,7 +10,7 @@ An arm that is still engaged at the end of `with` is stopped: held where it is w
 go, servo by servo, whatever fails. So does its watchdog when no command comes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import cycle
 from pathlib import Path
@@ -25,6 +25,7 @@ from jiti.runtime.robot.limits import GRIPPER, Checked, Joints, limits_of
 from jiti.runtime.robot.opening import check_calibration, check_range, configure
 from jiti.runtime.robot.port_lock import PortLock
 from jiti.runtime.robot.settings import RobotSettings
+from jiti.runtime.robot.teller import Say, Teller
 from jiti.runtime.robot.watchdog import Watchdog
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ WRITE_S = 0.5
 """In which the port must take a packet. Our choice: a packet takes 0.3 ms."""
 LOOK_S = 0.2
 """How often a cable that is out is looked for."""
-Say = Callable[[str], None]
 
 
 class SafeArm:
@@ -69,6 +69,7 @@ class SafeArm:
         self._bus = self.robot.bus
         self.joints = tuple(self._bus.motors)
         self.engaged = False
+        """Whether a servo may have torque."""
         self.goal: dict[str, float] = {}
         """Where it was sent last, by joint."""
         self.overloads: dict[str, int] = dict.fromkeys(self.joints, 0)
@@ -78,6 +79,7 @@ class SafeArm:
         self._line = RLock()
         self._next_looked_at = cycle(self.joints)
         self._given_up = ""
+        self._letting_go = False
         self._watchdog = Watchdog(
             self._hold_by_watchdog,
             self._release_by_watchdog,
@@ -88,6 +90,7 @@ class SafeArm:
     def __enter__(self) -> Self:
         """Raises RobotError, after which the arm is as it was, or at rest."""
         self._lock = PortLock(self.settings.port)
+        self._tell = Teller(self._say)
         try:
             self._open()
         except BaseException:
@@ -120,6 +123,10 @@ class SafeArm:
                     raise RobotError(
                         f"camera {name!r} does not open: {error}. `lerobot-find-cameras` lists those there are."
                     ) from error
+        self.begin_reading()
+
+    def begin_reading(self) -> None:
+        """How long the arm was not read until now does not count."""
         self._heard_s = monotonic()
         self._behind_s: dict[str, float] = {}
 
@@ -130,20 +137,22 @@ class SafeArm:
         with suppress(Exception):  # a cable that is out
             self._bus.port_handler.closePort()
         self._lock.release()
+        self._tell.close()
 
     def engage(self) -> None:
         """Turn the torque on where the arm is: its positions become its goals first. Raises RobotError."""
+        self.begin_reading()
         if self.dry:
             self.goal = self._read()
             return
-        self._given_up = ""
+        self._given_up, self._letting_go = "", False
         with self._line, self._explained("cannot be engaged"):
             check_range(self._bus, self.settings.max_step)
             positions = self._bus.sync_read("Present_Position", normalize=False, num_retry=servos.TRIES)
+            self.engaged = True  # what fails from here on is stopped
             for name, position in positions.items():
                 self._bus.write("Goal_Position", name, position, normalize=False, num_retry=servos.TRIES)
             self.goal = self._read()
-            self.engaged = True
             self._bus.enable_torque(num_retry=servos.TRIES)
         self._watchdog.start()
 
@@ -151,15 +160,13 @@ class SafeArm:
         """lerobot's observation: angles under `<joint>.pos`, pictures (height, width, 3) uint8 by camera.
 
         None where the line was too bad this time. Raises RobotError where it stays so, the cable is out, a joint does
-        not follow, or a servo is overloaded.
+        not follow, a servo is overloaded, or a camera gives no picture.
         """
         self._check_watchdog()
         for _ in range(TRIES):
             try:
                 with self._line:
-                    seen = self.robot.get_observation()
-            except TimeoutError as error:
-                raise RobotError(f"{error}. Check the camera's cable.") from error
+                    read = self._bus.sync_read("Present_Position")
             except ConnectionError:
                 self.misread += 1
                 self._settle()
@@ -167,9 +174,9 @@ class SafeArm:
             except servos.CABLE_OUT as error:
                 raise self._cable_out() from error
             self._heard_s = monotonic()
-            self._check_follows({name: seen[f"{name}.pos"] for name in self.joints})
+            self._check_follows(read)
             self._look_at(next(self._next_looked_at))
-            return seen
+            return {f"{name}.pos": position for name, position in read.items()} | self._pictures()
         if monotonic() - self._heard_s > self.settings.lost_s:
             raise self._lost()
         return None
@@ -188,33 +195,36 @@ class SafeArm:
         self._send(self.goal)
 
     def release(self) -> None:
-        """Take the torque from every servo. Raises RobotError that names those that did not confirm it."""
+        """Take the torque from every servo. Raises RobotError that names those that did not confirm it; the arm is
+        engaged then, and may be released again."""
         self._watchdog.stop()
         if not self.engaged:
             return
-        try:
-            silent = self._let_go()
-        finally:
-            self.engaged = False
-        if silent:
-            raise RobotError(
+        self._letting_go = True
+        if silent := self._let_go():
+            warning = (
                 f"{servos.told(self._bus, silent)} did not say that its torque is off. Hold the arm, and switch its "
                 "power off; then check the cable to that servo."
             )
+            self._tell(warning)  # at once: the error is told when all is saved
+            raise RobotError(warning)
+        self.engaged = False
 
     def stop(self, because: BaseException | None = None) -> None:
-        """Hold the arm where it is, then release it. Raises RobotError like `release`, which then also tells what the
-        arm was stopped for."""
+        """Hold the arm where it is, unless it was being let go, then release it. Raises RobotError like `release`,
+        which then also tells what the arm was stopped for, and what its watchdog did."""
         self._watchdog.stop()
-        if self.engaged:
-            with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
-                servos.freeze(self._bus)
-                self._say(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
-                sleep(self.settings.release_after_s)
         try:
-            self.release()
-        except RobotError as worse:
-            raise RobotError(f"{because} {worse}") from because if because else worse
+            if self.engaged and not self._letting_go:
+                with suppress(*servos.CABLE_OUT), self._line:  # then `release` says what is to be done
+                    servos.freeze(self._bus)
+                    self._tell(f"Take hold of the arm: its torque goes off in {self.settings.release_after_s:g} s.")
+                    sleep(self.settings.release_after_s)
+        finally:
+            try:
+                self.release()
+            except RobotError as worse:
+                raise RobotError(_joined(because or "", self._given_up, worse)) from because or worse
 
     def _let_go(self) -> list[str]:
         """Names of servos that did not confirm it. A cable that is out is waited for."""
@@ -228,7 +238,7 @@ class SafeArm:
 
     def _wait_for_cable(self, end: float) -> None:
         port = self.settings.port
-        self._say(
+        self._tell(
             f"{port} is gone, and the servos keep their torque. Plug the cable in again within "
             f"{self.settings.replug_s:g} s, or hold the arm and switch its power off."
         )
@@ -236,17 +246,16 @@ class SafeArm:
             sleep(LOOK_S)
             if self._opened_again():
                 return
-        raise RobotError(
-            f"{port} did not come back: all servos may still have torque. Hold the arm, and switch its power off."
-        )
+        warning = f"{port} did not come back: all servos may still have torque. Hold the arm, and switch its power off."
+        self._tell(warning)
+        raise RobotError(warning)
 
     def _opened_again(self) -> bool:
         with suppress(*servos.CABLE_OUT):
             self._bus.port_handler.closePort()
+        self._lock.release()  # first, because the new port may be the old device
         try:
-            new = PortLock(self.settings.port)
-            self._lock.release()
-            self._lock = new
+            self._lock = PortLock(self.settings.port)
             self._bus.port_handler.openPort()
         except (RobotError, *servos.CABLE_OUT):
             return False
@@ -257,14 +266,27 @@ class SafeArm:
         if not self.dry:
             try:
                 with self._line:
+                    self._check_watchdog()  # which may have let the arm go while the line was waited for
                     self.robot.send_action({f"{name}.pos": angle for name, angle in goal.items()})
+                    self.goal = dict(goal)
             except servos.CABLE_OUT as error:
                 raise self._cable_out() from error
-        self.goal = dict(goal)
+        else:
+            self.goal = dict(goal)
         self._watchdog.feed()
 
     def _read(self) -> dict[str, float]:
         return self._bus.sync_read("Present_Position", num_retry=servos.TRIES)
+
+    def _pictures(self) -> dict[str, Any]:
+        """The latest of each camera."""
+        pictures = {}
+        for name, camera in self.robot.cameras.items():
+            try:
+                pictures[name] = camera.read_latest()
+            except (RuntimeError, OSError) as error:  # TimeoutError and ConnectionError are OSErrors
+                raise RobotError(f"camera {name!r} gives no picture: {_own_words(error)}. Check its cable.") from error
+        return pictures
 
     def _settle(self) -> None:
         with self._line:
@@ -290,9 +312,10 @@ class SafeArm:
             with self._line:
                 self._bus.read("Status", name)
         except RuntimeError as error:
-            self.overloads[name] += 1
-            if name != GRIPPER:  # which overloads when it holds a thing for long, and keeps holding it
-                what = str(error).rpartition("]")[2].strip(" !").lower()
+            what = str(error).rpartition("]")[2].strip(" !").lower()
+            overload = "overload" in what
+            self.overloads[name] += overload
+            if name != GRIPPER or not overload:  # it overloads when it holds a thing for long, and keeps holding it
                 raise RobotError(
                     f"{servos.told(self._bus, [name])} reports an {what}. Free it, let it cool down, and check its "
                     "voltage."
@@ -308,10 +331,11 @@ class SafeArm:
             raise RobotError(self._given_up)
 
     def _hold_by_watchdog(self) -> None:
+        after_s = self.settings.release_after_s
         with suppress(*servos.CABLE_OUT), self._line:
             servos.freeze(self._bus)
-        after_s = self.settings.release_after_s
-        self._say(f"No command for {self.settings.hold_after_s:g} s: the arm is held, and let go in {after_s:g} s.")
+            self.goal = self._read()  # from where a command that comes late goes on
+        self._tell(f"No command for {self.settings.hold_after_s:g} s: the arm is held, and let go in {after_s:g} s.")
 
     def _release_by_watchdog(self) -> None:
         self._given_up = (
@@ -357,6 +381,14 @@ class SafeArm:
                     "power, and the cable that leads to it."
                 ) from error
             raise RobotError(f"the arm at {self.settings.port} {what}: {_own_words(error)}. {remedy}") from error
+
+
+def _joined(*told: object) -> str:
+    """What was told, without what another part of it has told already."""
+    whole = ""
+    for part in map(str, told):
+        whole = whole if part in whole else part if whole in part else f"{whole} {part}"
+    return whole
 
 
 def _own_words(error: BaseException) -> str:

@@ -11,11 +11,15 @@ import sys
 import termios
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Self
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (
+    *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+    signal.SIGQUIT,  # would end the program with the torque on
+    *(signal.SIGTSTP, signal.SIGTTIN),  # would suspend it, and the watchdog with it
+)
 STOP, NEXT = " ", "\n"
 """Space ends everything, Enter the episode."""
 
@@ -33,21 +37,22 @@ class Stops:
     """With `with`, signals and the terminal's keys are listened to; after it all is as before."""
 
     def __init__(self, *, keys: bool = True) -> None:
-        """`keys`: where standard input is a terminal."""
-        self._keys = keys and sys.stdin is not None and sys.stdin.isatty()
+        """`keys`: where standard input is a terminal; without one there are none."""
+        self.keys = keys and sys.stdin is not None and sys.stdin.isatty()
         self._signal: int | None = None
         self._guarded = False
 
     def __enter__(self) -> Self:
         self._before = {number: signal.signal(number, self._heard) for number in SIGNALS}
-        if self._keys:
+        if self.keys:
             self._terminal = termios.tcgetattr(sys.stdin)
             tty.setcbreak(sys.stdin)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._keys:
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
+        if self.keys:
+            with suppress(termios.error):  # a terminal that is gone
+                termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -77,11 +82,25 @@ class Stops:
             raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
 
     def _pressed(self) -> str:
-        if not self._keys or not select.select([sys.stdin], [], [], 0)[0]:
+        if not self.keys or not _in_front() or not select.select([sys.stdin], [], [], 0)[0]:
             return ""
-        return os.read(sys.stdin.fileno(), 64).decode(errors="ignore")
+        try:
+            pressed = os.read(sys.stdin.fileno(), 1024)
+        except OSError:
+            pressed = b""
+        if not pressed:
+            raise Stopped("stopped, because the terminal is gone", 128 + signal.SIGHUP)
+        return pressed.decode(errors="ignore")
 
     def _heard(self, number: int, _frame: FrameType | None) -> None:
         if not self._guarded:
             raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
         self._signal = number
+
+
+def _in_front() -> bool:
+    """Whether a key may be read: in the background each try is answered with SIGTTIN."""
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # not the terminal that controls this program
+        return True

@@ -1,6 +1,7 @@
 """Holds an arm that gets no commands, and then lets it go: what is left of safety when the loop hangs."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from threading import Event, Thread, current_thread
 from time import monotonic
 
@@ -45,7 +46,8 @@ class Watchdog:
                 held = False
             elif not held:
                 held = True
-                self._hold()
+                with suppress(Exception):  # it is let go in any case
+                    self._hold()
             elif silent_s > self._hold_after_s + self._release_after_s:
                 self._ended.set()
                 self._let_go()

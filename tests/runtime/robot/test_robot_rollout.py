@@ -159,6 +159,7 @@ def test_a_dry_run_says_where_it_would_go(arm, asked, torque, tmp_path):
     done, said = ran(replace(asked, dry_run=True))
     assert done.problem is None
     assert any("shoulder_pan 0 -> " in one for one in said)
+    assert not list(tmp_path.rglob("*.mcap"))
     assert arm.memories()[1].read(0, 56) == before
     assert torque() == OFF
 

@@ -166,7 +166,24 @@ def test_a_servo_that_does_not_confirm_its_release_is_told(arm, opened, torque):
             RobotError, match=r"servo 3 \(elbow_flex\), servo 5 \(wrist_roll\) did not say that its torque"
         ):
             safe.release()
+        assert safe.engaged, "it is to be tried again"
+        with pytest.raises(RobotError, match=r"^why servo 3 .* switch its power off; then check the cable[^.]*\.$"):
+            safe.stop(ValueError("why"))
+        arm.faults = Faults()
+    assert not safe.engaged
+    assert not any("Take hold" in said for said in opened.said), "it had been let go"
     assert torque() == OFF
+
+
+def test_a_camera_that_gives_no_picture_is_named(opened):
+    class Dead:
+        def read_latest(self):
+            raise TimeoutError("the latest is too old.")
+
+    with opened() as safe:
+        safe.robot.cameras["front"] = Dead()
+        with pytest.raises(RobotError, match=r"camera 'front' gives no picture: the latest is too old\. Check"):
+            safe.observe()
 
 
 def test_a_corrupt_line_is_borne(arm, opened, torque):
@@ -246,6 +263,25 @@ def test_without_commands_it_is_held_and_then_let_go(arm, opened, torque, until)
         until(lambda: torque() == OFF)
         with pytest.raises(RobotError, match=r"let go, because no command came for 1\.4 s"):
             safe.hold()
+
+
+def test_a_terminal_that_blocks_does_not_keep_the_torque_on(settings, torque, until):
+    from jiti.runtime.robot.safe_arm import SafeArm
+
+    with SafeArm(replace(settings, hold_after_s=0.4), say=lambda _: sleep(30)) as safe:
+        safe.engage()
+        until(lambda: torque() == OFF)
+
+
+def test_a_terminal_that_is_gone_does_not_keep_the_torque_on(settings, torque):
+    from jiti.runtime.robot.safe_arm import SafeArm
+
+    def say(_said: str) -> None:
+        raise BrokenPipeError
+
+    with SafeArm(settings, say=say) as safe:
+        safe.engage()
+    assert torque() == OFF
 
 
 def test_a_dry_run_writes_nothing(arm, settings, torque):

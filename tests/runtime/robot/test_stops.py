@@ -8,7 +8,7 @@ import termios
 
 import pytest
 
-from jiti.runtime.robot.stops import Stopped, Stops
+from jiti.runtime.robot.stops import SIGNALS, Stopped, Stops
 
 
 @pytest.fixture
@@ -38,6 +38,16 @@ def test_space_stops_enter_ends_the_episode_and_others_do_nothing(terminal):
     assert termios.tcgetattr(theirs) == before
 
 
+def test_a_terminal_that_is_gone_stops_it(monkeypatch):
+    ours, theirs = pty.openpty()
+    with open(theirs, closefd=True) as file:  # noqa: PTH123 - a descriptor
+        monkeypatch.setattr(sys, "stdin", file)
+        with Stops() as stops:
+            os.close(ours)
+            with pytest.raises(Stopped, match="terminal is gone"):
+                stops.look()
+
+
 def guarded_and_looked_at(stops, number, heard):
     with stops.guarded():
         os.kill(os.getpid(), number)  # raises nothing here
@@ -46,7 +56,11 @@ def guarded_and_looked_at(stops, number, heard):
         heard.append(number)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_would_end_or_suspend_the_program_is_listened_to():
+    assert {signal.SIGQUIT, signal.SIGTSTP, signal.SIGTTIN} < set(SIGNALS)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_waits_for_a_look_while_guarded_and_raises_at_once_otherwise(number):
     before = signal.getsignal(number)
     with Stops(keys=False) as stops:

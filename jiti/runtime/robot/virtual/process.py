@@ -92,7 +92,8 @@ goes before other programs. It takes a tenth of a core."""
 
 def main(task_id: str, seed: str, link: str, descriptor: str) -> None:
     """The side of the arm: ends when the other one closes the pipe, or is no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # a terminal sends them to every process
+        signal.signal(number, signal.SIG_IGN)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, URGENT)
     pipe = Connection(int(descriptor))
