@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from jiti.errors import RobotError
+from jiti.runtime.robot.servos import TRIES
 
 if TYPE_CHECKING:
     from lerobot.motors.feetech import FeetechMotorsBus
@@ -42,7 +43,7 @@ def check_calibration(robot: "SOFollower") -> None:
 
 def check_range(bus: "FeetechMotorsBus", tolerance_deg: float) -> None:
     """A servo that stands outside its range would go to its end as soon as it has torque. Raises RobotError."""
-    for name, position in bus.sync_read("Present_Position", normalize=False, num_retry=5).items():
+    for name, position in bus.sync_read("Present_Position", normalize=False, num_retry=TRIES).items():
         found = bus.calibration[name]
         outside = max(found.range_min - position, position - found.range_max) * 360 / 4096
         if outside > tolerance_deg:

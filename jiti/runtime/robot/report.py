@@ -35,7 +35,7 @@ class EpisodeSummary:
     seed: int
     recording: str | None
     ended: str
-    """`time`, `Enter`, or what stopped it."""
+    """`time or Enter`, or what stopped it."""
     seconds: float
     steps: int
     """Of the loop, those before the first decision included."""

@@ -93,9 +93,9 @@ class Stops:
         return pressed.decode(errors="ignore")
 
     def _heard(self, number: int, _frame: FrameType | None) -> None:
-        if not self._guarded:
-            raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
         self._signal = number
+        if not self._guarded:
+            self._raise_signal()
 
 
 def _in_front() -> bool:
