@@ -753,13 +753,19 @@ def rollout(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say where the arm would go, and send it nothing.")
     ] = False,
+    judge: Annotated[
+        bool, typer.Option("--judge", help="On an arm: ask after each episode how it was; compares guidances.")
+    ] = False,
+    blind: Annotated[
+        bool, typer.Option("--blind/--not-blind", help="Tell which guidance it was only when all is judged.")
+    ] = True,
     tasks: Tasks = None,
     as_json: Json = False,
 ) -> None:
     """Play a policy in simulation, alone and guided by a critic, from the same initial states, and compare.
 
     Without options it takes the newest policy, critic and recorded task here, and says which. A stopped run goes on.
-    With --robot it plays one guidance on an arm; see docs/so100.md first.
+    With --robot it plays on an arm, one guidance, or several with --judge; see docs/so100.md first.
 
     Example: jiti rollout --task elegant/T2 --policy policy --critic critic --guidance none --guidance jiti
 
@@ -790,6 +796,8 @@ def rollout(
             record=record,
             dry_run=dry_run,
             live=live,
+            judge=judge,
+            blind=blind,
         )
         return
     from jiti.runtime.sim.engine import find_robosuite
@@ -839,7 +847,8 @@ def _play_on_robot(
     flags: dict[str, str | None], config: Path | None, tasks: list[Path] | None, as_json: bool, **asked: Any
 ) -> None:
     """`jiti rollout --robot`."""
-    from jiti.runtime.robot.command import RobotRequest, run_robot
+    from jiti.runtime.robot.command import run_robot
+    from jiti.runtime.robot.request import RobotRequest
     from jiti.runtime.robot.settings import read_settings
     from jiti.runtime.robot.stops import Stopped
     from jiti.tasks.catalogue import load_catalogue
@@ -850,9 +859,9 @@ def _play_on_robot(
     except Stopped as stopped:  # before the arm had torque
         raise typer.Exit(stopped.exit_code) from None
     if as_json:
-        print(ran.report.to_json())
+        print(ran.to_json())
     else:
-        ran.report.print()
+        ran.print()
     if isinstance(ran.problem, Stopped):
         raise typer.Exit(ran.problem.exit_code)
     if ran.problem is not None:

@@ -4,7 +4,8 @@ import sys
 from pathlib import Path
 
 from jiti.errors import JitiError
-from jiti.runtime.robot.command import RobotRequest, run_robot
+from jiti.runtime.robot.command import run_robot
+from jiti.runtime.robot.request import RobotRequest
 from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.stops import Stopped
 from jiti.runtime.robot.virtual import VirtualArm
@@ -25,7 +26,7 @@ def main(port: str, robot: str, calibration_dir: str, out: str) -> int:
     except JitiError as error:
         print(error, flush=True)
         return 1
-    ran.report.print()
+    ran.print()
     return ran.problem.exit_code if isinstance(ran.problem, Stopped) else 1
 
 

@@ -1,27 +1,43 @@
 """`jiti rollout --robot`, whole: from what a user asked for to what is printed."""
 
+import json
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+from jiti.annotate.names import default_annotator
 from jiti.durable import make_folder
 from jiti.errors import RobotError, UsageError
-from jiti.runtime.guidance import CANDIDATES, WINDOW, Guidance, Pick
+from jiti.runtime.robot.evaluation.evaluation import Evaluation
+from jiti.runtime.robot.evaluation.judged import open_kept
+from jiti.runtime.robot.evaluation.report import EvaluationReport
 from jiti.runtime.robot.inference import Brain, Inference, OpenAgent, open_agent
 from jiti.runtime.robot.live import LiveArm
+from jiti.runtime.robot.page import Page
+from jiti.runtime.robot.panel import Panel, Shown
 from jiti.runtime.robot.recording import Recording
 from jiti.runtime.robot.report import RobotReport
+from jiti.runtime.robot.request import (
+    FOLDER,
+    RobotRequest,
+    guidances_of,
+    layouts_of,
+    shared_of,
+    taken_of,
+    task_of,
+    turns_of,
+)
 from jiti.runtime.robot.run import AfterEpisode, Runner
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
-from jiti.runtime.robot.stops import Stopped, Stops
-from jiti.runtime.robot.tick import Arrived, Tick, Watcher
+from jiti.runtime.robot.stops import NEXT, Stopped, Stops
+from jiti.runtime.robot.told import Told
+from jiti.runtime.robot.turn import Turn
 from jiti.runtime.robot.virtual import VirtualArm
 from jiti.runtime.rollout.live import SHOWN_SUFFIX
-from jiti.runtime.rollout.plan import label_of, parse_guidance
-from jiti.runtime.rollout.result import RECORDING_SUFFIX
+from jiti.runtime.rollout.plan import label_of
+from jiti.runtime.rollout.result import without_nan
 from jiti.runtime.rollout.viewer import Viewer
 from jiti.runtime.workers import alone
 from jiti.tasks.catalogue import Catalogue
@@ -30,35 +46,7 @@ from jiti.tasks.task import Task
 if TYPE_CHECKING:
     from lerobot.cameras import CameraConfig
 
-FOLDER = Path("rollouts")
-SECONDS = 30.0
-"""Of an episode. Our choice: what the paper's tasks take, twice."""
-SAID_S = 0.5
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class RobotRequest:
-    """The command's arguments; None is for what was not given."""
-
-    settings: RobotSettings
-    task: str | None = None
-    policy: str | None = None
-    critic: str | None = None
-    guidance: tuple[str, ...] = ()
-    pick: Pick = "best"
-    candidates: int = CANDIDATES
-    window: int = WINDOW
-    tau: float | None = None
-    tau_scale: float = 1.0
-    episodes: int | None = None
-    seconds: float = SECONDS
-    seed: int | None = None
-    device: str = "cpu"
-    out: Path | None = None
-    record: bool = True
-    dry_run: bool = False
-    live: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,6 +56,25 @@ class Ran:
     report: RobotReport
     problem: Exception | None
     """What ended it before its time: Stopped, or an error."""
+    evaluation: EvaluationReport | None = None
+
+    @property
+    def _told(self) -> bool:
+        """How an arm waited for decisions tells who decided."""
+        return self.evaluation is None or self.evaluation.told
+
+    def to_json(self) -> str:
+        content = self.report.to_dict() if self._told else {}
+        if self.evaluation is not None:
+            content["evaluation"] = self.evaluation.to_dict()
+        return json.dumps(without_nan(content), indent=2, allow_nan=False)
+
+    def print(self) -> None:
+        """On standard output."""
+        if self._told:
+            self.report.print()
+        if self.evaluation is not None:
+            self.evaluation.print()
 
 
 def run_robot(
@@ -106,124 +113,98 @@ def _run(
     ended: Callable[[Ran], None],
 ) -> None:
     """`ended` is told what is to be printed, before all is closed."""
-    task, guidance = _task(request, catalogue), _guidance(request)
+    task, guidances = task_of(request, catalogue), guidances_of(request)
     if request.policy is None:
         raise UsageError("an arm needs a policy of its own: pass --policy, a checkpoint or run of lerobot-train.")
-    label, folder = label_of(guidance), request.out or FOLDER / task.task_id.replace("/", "-")
-    brain = Brain(request.policy, request.critic, guidance, task.instruction, request.device, request.settings.execute)
-    paths = _paths(request, folder / label, task)
+    if not request.settings.port:
+        raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
+    folder = request.out or FOLDER / task.task_id.replace("/", "-")
+    brain = Brain(request.policy, request.critic, guidances, task.instruction, request.device, request.settings.execute)
+    turns = [] if request.judge else turns_of(request, folder, task, guidances[0])
     with ExitStack() as stack:
         stops = stack.enter_context(Stops())
         make_folder(folder)
         stack.enter_context(alone(folder, "jiti rollout"))
-        inference = stack.enter_context(Inference(brain, make_agent))
-        arm = stack.enter_context(_arm(request, task, stack, say, cameras))
+        page = stack.enter_context(Page(stops.press))
+        say(f"Open {page.url}")
+        panel = Panel(stops, say, page.show)
+        evaluation = None
+        if request.judge:
+            kept = open_kept(folder, shared_of(request, task, guidances), len(guidances) * layouts_of(request))
+            by_label = {label_of(guidance): guidance for guidance in guidances}
+            evaluation = Evaluation(kept, task, by_label, layouts_of(request), default_annotator(), panel)
+            evaluation.judge_waiting()
+            turns, after_episode = evaluation.turns(), evaluation.after
 
+        def told(report: RobotReport, problem: Exception | None) -> Ran:
+            judged = EvaluationReport(evaluation.kept, request.blind) if evaluation else None
+            return Ran(report, problem, judged)
+
+        report = RobotReport(task.task_id, request.settings.kind, taken_of(request, guidances), [], 0, {}, folder)
+        if not turns:
+            ended(told(report, None))
+            return
+        inference = stack.enter_context(Inference(brain, make_agent))
+        virtual, settings = _virtual(request, task, stack)
+        arm = SafeArm(settings, dry=request.dry_run, say=say, cameras=cameras or (virtual and virtual.cameras()))
+        stack.enter_context(arm)
         viewer = Viewer(say) if request.live else None
         if viewer is not None:
             stack.callback(viewer.close)
+        blind = request.judge and request.blind
 
-        def recording(seed: int) -> Recording:
-            path = paths[seed]
-            about = {"task": task.task_id, "robot": request.settings.kind, "guidance": label, "seed": str(seed)}
+        def recording(turn: Turn) -> Recording:
+            about = {"task": task.task_id, "robot": request.settings.kind, "seed": str(turn.seed)}
+            about |= {} if blind else {"guidance": turn.label}
             names = tuple(arm.robot.cameras)
             shown = None
             if viewer is not None:
-                make_folder(path.parent)
-                shown = LiveArm(path.with_suffix(SHOWN_SUFFIX), viewer.address, arm.joints, names, guidance.tau)
-            kept = path if request.record else None
+                make_folder(turn.path.parent)
+                path = turn.path.with_suffix(SHOWN_SUFFIX)
+                shown = LiveArm(path, viewer.address, arm.joints, names, turn.guidance.tau, blind=blind)
+            kept = turn.path if request.record else None
             return Recording(kept, arm.joints, names, instruction=task.instruction, about=about, shown=shown)
 
-        runner = Runner(arm, inference, stops, task, label, recording, after_episode)
+        def before(turn: Turn) -> None:
+            if virtual is not None:
+                virtual.reset(turn.seed)
+            if evaluation is not None:
+                evaluation.before(turn)
+            elif stops.keys and turn is not turns[0]:
+                panel.ask(Shown("ready", "Lay the things out.", "Keep clear of the arm.", keys={NEXT: "begin"}))
+            panel.tell(Shown("running", _keys(stops), keys={NEXT: "end the episode"}))
+
+        runner = Runner(arm, inference, stops, recording, before, after_episode)
         if request.dry_run:
             runner.watchers = (Told(say, arm.joints),)
-        say("Loading policy and critic; the arm has no torque.")
+        panel.tell(Shown("opening", "Loading policy and critic; the arm has no torque."))
         facts = runner.open()
         if request.dry_run:
             say("Dry run: nothing is sent.")
-        keys = (
-            "Space stops the arm at once, Enter ends an episode." if stops.keys else "Ctrl-C or SIGTERM stops the arm."
+        done, problem = runner.play(facts, turns, request.seconds)
+        page.show(Shown("over", f"It is over{f': {problem}' if problem else ''}. The arm has no torque."))
+        report = replace(
+            report,
+            taken=report.taken | {"execute": facts.execute},
+            episodes=done,
+            misread=arm.misread,
+            overloads=arm.overloads,
         )
-        say(keys)
-        done, problem = runner.play(facts, list(paths), request.seconds)
-        taken = {"policy": request.policy, "critic": request.critic, "settings": asdict(request.settings)}
-        taken |= {"tau": guidance.tau, "execute": facts.execute, "dry_run": request.dry_run}
-        report = RobotReport(
-            task.task_id, request.settings.kind, label, taken, done, arm.misread, arm.overloads, folder
-        )
-        ended(Ran(report, problem))
+        ended(told(report, problem))
         if viewer is not None and problem is None:
             with suppress(Stopped):
                 viewer.wait()
 
 
-def _paths(request: RobotRequest, folder: Path, task: Task) -> dict[int, Path]:
-    """Of each seed's recording. Without a first seed they go on behind those there; raises UsageError where one
-    would take another's place."""
-    stem = task.task_id.replace("/", "-")
-
-    def path(seed: int) -> Path:
-        return folder / f"{stem}_{seed:04d}{RECORDING_SUFFIX}"
-
-    there = [int(one.stem.rpartition("_")[2]) for one in folder.glob(f"{stem}_[0-9]*{RECORDING_SUFFIX}")]
-    first = max(there, default=-1) + 1 if request.seed is None else request.seed
-    seeds = range(first, first + (request.episodes or 1))
-    if request.record and (taken := set(seeds) & set(there)):
-        raise UsageError(f"{path(min(taken))} is there already: leave --seed out, or pass another --out.")
-    return {seed: path(seed) for seed in seeds}
+def _keys(stops: Stops) -> str:
+    if stops.keys:
+        return "Space stops the arm at once, Enter ends an episode."
+    return "Ctrl-C, SIGTERM, or Space on the page stops the arm."
 
 
-def _arm(
-    request: RobotRequest, task: Task, stack: ExitStack, say: Say, cameras: "dict[str, CameraConfig] | None"
-) -> SafeArm:
+def _virtual(request: RobotRequest, task: Task, stack: ExitStack) -> tuple[VirtualArm | None, RobotSettings]:
     settings = request.settings
-    if not settings.port:
-        raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
-    if settings.port == VIRTUAL:
-        virtual = stack.enter_context(VirtualArm(task.task_id, seed=request.seed or 0))
-        settings = replace(settings, port=virtual.port, id=virtual.id, calibration_dir=str(virtual.calibration_dir))
-        cameras = cameras or virtual.cameras()
-    return SafeArm(settings, dry=request.dry_run, say=say, cameras=cameras)
-
-
-def _task(request: RobotRequest, catalogue: Catalogue) -> Task:
-    if request.task is None:
-        raise UsageError("which task? Pass --task so100/T4; `jiti tasks` lists all, --tasks adds your own.")
-    return catalogue.task(request.task)
-
-
-def _guidance(request: RobotRequest) -> Guidance:
-    wanted = list(request.guidance) or ["jiti" if request.critic else "none"]
-    if len(wanted) > 1:
-        raise UsageError("an arm plays one guidance at a time: pass one --guidance.")
-    method, pick = parse_guidance(wanted[0], request.pick)
-    if method != "none" and request.critic is None:
-        raise UsageError(f"--guidance {method} needs a critic: pass --critic RUN.")
-    tau = None
-    if method == "jiti":
-        if request.tau is None:
-            raise UsageError(
-                "JITI needs a threshold: pass --tau. Play some episodes with --tau inf first: delta_q in their "
-                ".decisions.parquet says what jumps there are, of which a third is to be above tau (G.6)."
-            )
-        tau = request.tau * request.tau_scale
-    return Guidance(method, pick, request.candidates, request.window, tau)
-
-
-class Told(Watcher):
-    """Says twice a second where the arm would be sent."""
-
-    def __init__(self, say: Say, joints: tuple[str, ...]) -> None:
-        self._say, self._joints, self._said_ns = say, joints, 0
-
-    def ticked(self, tick: Tick) -> None:
-        if tick.asked is None or tick.time_ns - self._said_ns < SAID_S * 1e9:
-            return
-        self._said_ns = tick.time_ns
-        seen: Any = tick.seen
-        places = (f"{name} {seen[f'{name}.pos']:.0f} -> {tick.asked[name]:.0f}" for name in self._joints)
-        held_back = f" (held back: {', '.join(tick.clamped)})" if tick.clamped else ""
-        self._say(f"step {tick.tick}: {', '.join(places)}{held_back}")
-
-    def arrived(self, arrived: Arrived) -> None:
-        pass
+    if settings.port != VIRTUAL:
+        return None, settings
+    virtual = stack.enter_context(VirtualArm(task.task_id, seed=request.seed or 0))
+    return virtual, replace(settings, port=virtual.port, id=virtual.id, calibration_dir=str(virtual.calibration_dir))

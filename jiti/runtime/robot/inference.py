@@ -33,7 +33,7 @@ class Brain:
 
     policy: str
     critic: str | None
-    guidance: Guidance
+    guidances: tuple[Guidance, ...]
     instruction: str
     device: str = "cpu"
     execute: int = 0
@@ -94,12 +94,13 @@ class Inference:
         self._send("open", observation)
         return self._receive()
 
-    def begin(self, seed: int) -> None:
-        """A new episode. An answer to a question of the one before is waited for, and forgotten."""
+    def begin(self, seed: int, guidance: Guidance) -> None:
+        """A new episode with one of the guidances. An answer to a question of the one before is waited for, and
+        forgotten."""
         if self.asked_s is not None:
             self._receive()
             self.asked_s = None
-        self._send("begin", seed)
+        self._send("begin", seed, guidance)
         self._receive()
 
     def ask(self, observations: Sequence[Observation], frame: int) -> None:
@@ -169,20 +170,22 @@ class _Desk:
         self._brain, self._make_agent = brain, make_agent
 
     def open(self, observation: Observation) -> Facts:
-        self._agent = agent_for(self._brain.guidance, self._make_agent(self._brain, observation))
-        sampler = self._agent.sampler
+        self._opened = self._make_agent(self._brain, observation)
+        sampler = self._opened.sampler
         facts = Facts(self._brain.execute or _half(sampler), max(1, sampler.history))
         if self._brain.execute > sampler.chunk:
             raise UsageError(
                 f"the policy's chunks have {sampler.chunk} actions: pass --execute {sampler.chunk} or less."
             )
         # The first decision compiles and allocates: not while an arm waits for it.
-        self.begin(0)
-        self.decide((observation,) * facts.history, 0)
+        for guidance in self._brain.guidances:
+            self.begin(0, guidance)
+            self.decide((observation,) * facts.history, 0)
         return facts
 
-    def begin(self, seed: int) -> None:
-        self._guide = Guide(self._brain.guidance, seed, self._agent.sampler.noise_shape)
+    def begin(self, seed: int, guidance: Guidance) -> None:
+        self._agent = agent_for(guidance, self._opened)
+        self._guide = Guide(guidance, seed, self._opened.sampler.noise_shape)
 
     def decide(self, observations: tuple[Observation, ...], frame: int) -> tuple[np.ndarray, Decided]:
         return decide(self._agent, self._guide, observations, self._brain.instruction, frame)

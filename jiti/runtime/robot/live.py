@@ -19,9 +19,12 @@ class LiveArm:
         joints: tuple[str, ...],
         cameras: tuple[str, ...],
         tau: float | None,
+        *,
+        blind: bool = False,
     ) -> None:
-        """Kept at `path` in the end; shown meanwhile by the viewer at `address`."""
-        self._joints, self._tau, self._stack = joints, tau, ExitStack()
+        """Kept at `path` in the end; shown meanwhile by the viewer at `address`. `blind`: without the critic's values,
+        which would tell the guidance."""
+        self._joints, self._tau, self._blind, self._stack = joints, tau, blind, ExitStack()
         opened = live_recording(path.stem, cameras, path, address, joints=joints)
         self._recording = self._stack.enter_context(opened)
 
@@ -32,7 +35,8 @@ class LiveArm:
         draw_arm(self._recording, tick.tick, joints, pictures)
 
     def decided(self, decided: Decided) -> None:
-        draw_values(self._recording, decided, self._tau)
+        if not self._blind:
+            draw_values(self._recording, decided, self._tau)
 
     def close(self) -> None:
         """Raises SaveFailed."""

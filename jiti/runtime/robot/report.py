@@ -1,6 +1,5 @@
 """What an arm's episodes were like: how well the loop kept its rate, how often it waited, and what each part took."""
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jiti.runtime.robot.recording import Recording
-from jiti.runtime.rollout.result import without_nan
+from jiti.runtime.robot.turn import Turn
 
 PARTS = (("observe_s", "reading arm and cameras"), ("send_s", "sending"), ("busy_s", "a step, without its wait"))
 DECISION_PARTS = (
@@ -32,7 +31,9 @@ class Latency:
 class EpisodeSummary:
     """One episode of an arm."""
 
-    seed: int
+    number: int
+    guidance: str
+    """As in simulation: `none`, `jiti`."""
     recording: str | None
     ended: str
     """`time or Enter`, or what stopped it."""
@@ -58,7 +59,7 @@ class EpisodeSummary:
     parts_ms: dict[str, Latency]
 
 
-def summarize(recording: Recording, seed: int, ended: str) -> EpisodeSummary:
+def summarize(recording: Recording, turn: Turn, ended: str) -> EpisodeSummary:
     """Of what a recording was told."""
     ticks, decisions = recording.ticks, recording.decisions
     acting = [tick for tick in ticks if tick["begun"]]
@@ -66,7 +67,8 @@ def summarize(recording: Recording, seed: int, ended: str) -> EpisodeSummary:
     parts = {name: _latency(ticks, name) for name, _ in PARTS}
     parts |= {name: _latency(decisions, name) for name, _ in DECISION_PARTS}
     return EpisodeSummary(
-        seed,
+        turn.number,
+        turn.label,
         str(recording.path) if recording.path else None,
         ended,
         seconds,
@@ -97,8 +99,6 @@ class RobotReport:
 
     task: str
     robot: str
-    label: str
-    """The guidance, as in simulation."""
     taken: dict[str, Any]
     episodes: Sequence[EpisodeSummary]
     misread: int
@@ -107,25 +107,23 @@ class RobotReport:
     """By joint: looks at it at which it said so."""
     folder: Path
 
-    def to_json(self) -> str:
-        content = {
+    def to_dict(self) -> dict[str, Any]:
+        return {
             "task": self.task,
             "robot": self.robot,
-            "guidance": self.label,
             **self.taken,
             "folder": str(self.folder),
             "misread": self.misread,
             "overloads": self.overloads,
             "episodes": [asdict(episode) for episode in self.episodes],
         }
-        return json.dumps(without_nan(content), indent=2, allow_nan=False)
 
     def print(self) -> None:
         """Lines on standard output."""
-        print(f"{self.task} on {self.robot}, {self.label}")
+        print(f"{self.task} on {self.robot}")
         for e in self.episodes:
             share = e.held / e.acting if e.acting else 0.0
-            print(f"episode {e.seed}: {e.seconds:.1f} s, {e.steps} steps; ended: {e.ended}")
+            print(f"episode {e.number}, {e.guidance}: {e.seconds:.1f} s, {e.steps} steps; ended: {e.ended}")
             print(
                 f"  period {_told(e.period_ms)}; held at {e.held} of {e.acting} steps ({share:.1%}), unread {e.unread}"
             )

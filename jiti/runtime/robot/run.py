@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from jiti.errors import RobotError
 from jiti.runtime.robot.inference import Facts, Inference
@@ -12,7 +11,7 @@ from jiti.runtime.robot.report import EpisodeSummary, summarize
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.stops import Stops
 from jiti.runtime.robot.tick import Watcher, observation_of
-from jiti.tasks.task import Task
+from jiti.runtime.robot.turn import Turn
 
 OPEN_S = 5.0
 """In which an arm that was opened must have been read once. Our choice."""
@@ -22,19 +21,15 @@ OPEN_S = 5.0
 class Recorded:
     """An episode that is over: what is to be looked at. The arm has no torque."""
 
-    task: Task
-    label: str
-    """The guidance."""
-    seed: int
-    path: Path | None
-    """The recording; None where none was made."""
+    turn: Turn
     ended: str
 
 
+BeforeEpisode = Callable[[Turn], None]
+"""Is called before each episode, while the arm has no torque: the things are laid out, say."""
 AfterEpisode = Callable[[Recorded], None]
 """Is called after each episode that was not stopped, for a person's verdicts, say; the next one waits for it."""
-MakeRecording = Callable[[int], Recording]
-"""Of the episode with a seed."""
+MakeRecording = Callable[[Turn], Recording]
 
 
 @dataclass
@@ -44,9 +39,8 @@ class Runner:
     arm: SafeArm
     inference: Inference
     stops: Stops
-    task: Task
-    label: str
     make_recording: MakeRecording
+    before_episode: BeforeEpisode = lambda _turn: None
     after_episode: AfterEpisode = lambda _recorded: None
     watchers: Sequence[Watcher] = ()
     """Beside the recording."""
@@ -59,36 +53,39 @@ class Runner:
                 return self.inference.open(observation_of(seen, self.arm.joints, tuple(self.arm.robot.cameras)))
         raise RobotError("the arm cannot be read. Check its cables.")
 
-    def play(self, facts: Facts, seeds: Sequence[int], seconds: float) -> tuple[list[EpisodeSummary], Exception | None]:
+    def play(
+        self, facts: Facts, turns: Sequence[Turn], seconds: float
+    ) -> tuple[list[EpisodeSummary], Exception | None]:
         """Episodes, and what ended them before the last: Stopped, or an error. All that was done is saved."""
         done: list[EpisodeSummary] = []
         try:
-            for seed in seeds:
-                self._play_one(facts, seed, seconds, done)
+            for turn in turns:
+                self.before_episode(turn)
+                self._play_one(facts, turn, seconds, done)
         except Exception as problem:
             return done, problem
         return done, None
 
-    def _play_one(self, facts: Facts, seed: int, seconds: float, done: list[EpisodeSummary]) -> None:
+    def _play_one(self, facts: Facts, turn: Turn, seconds: float, done: list[EpisodeSummary]) -> None:
         """An episode, which is added to those that are done before what ended it is raised."""
-        recording = self.make_recording(seed)
-        problem = self._episode(facts, seed, recording, seconds)
+        recording = self.make_recording(turn)
+        problem = self._episode(facts, turn, recording, seconds)
         ended = str(problem) if problem else "time or Enter"
         try:
             with self.stops.guarded():
                 recording.finish(ended)
         except Exception as error:
             problem = problem or error
-        done.append(summarize(recording, seed, ended))
+        done.append(summarize(recording, turn, ended))
         if problem is not None:
             raise problem
-        self.after_episode(Recorded(self.task, self.label, seed, recording.path, ended))
+        self.after_episode(Recorded(turn, ended))
 
-    def _episode(self, facts: Facts, seed: int, recording: Recording, seconds: float) -> Exception | None:
+    def _episode(self, facts: Facts, turn: Turn, recording: Recording, seconds: float) -> Exception | None:
         """What stopped it, after which the arm is at rest in any case."""
         arm = self.arm
         try:
-            self.inference.begin(seed)
+            self.inference.begin(turn.seed, turn.guidance)
             with self.stops.guarded(), prompt():
                 try:
                     arm.engage()

@@ -1,4 +1,4 @@
-"""How a person or the system stops an arm: Space, and the signals that end a program.
+"""How a person or the system stops an arm: Space, and the signals that end a program; and a person's other keys.
 
 While an arm has torque, a signal raises nothing in the middle of an exchange with the servos: it is asked for at each
 step. Otherwise it ends the program as usual.
@@ -10,8 +10,10 @@ import signal
 import sys
 import termios
 import tty
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from time import sleep
 from types import FrameType
 from typing import Self
 
@@ -22,6 +24,8 @@ SIGNALS = (
 )
 STOP, NEXT = " ", "\n"
 """Space ends everything, Enter the episode."""
+LOOK_S = 0.02
+"""Between two looks at the keys while a person thinks."""
 
 
 class Stopped(Exception):
@@ -37,8 +41,9 @@ class Stops:
     """With `with`, signals and the terminal's keys are listened to; after it all is as before."""
 
     def __init__(self, *, keys: bool = True) -> None:
-        """`keys`: where standard input is a terminal; without one there are none."""
+        """`keys`: those of a terminal, where standard input is one."""
         self.keys = keys and sys.stdin is not None and sys.stdin.isatty()
+        self._pressed: deque[str] = deque()
         self._signal: int | None = None
         self._guarded = False
 
@@ -68,29 +73,46 @@ class Stops:
             self._guarded = False
         self._raise_signal()
 
+    def press(self, key: str) -> None:
+        """As if it had been pressed in the terminal; from any thread."""
+        self._pressed.append(key)
+
     def look(self) -> bool:
-        """Whether the episode is to end. Raises Stopped where everything is."""
+        """Whether the episode is to end; keys are forgotten. Raises Stopped where everything is to."""
+        self._take_keys()
+        ends = NEXT in self._pressed
+        self._pressed.clear()
+        return ends
+
+    def key(self) -> str:
+        """Wait for one that is pressed from now on. Raises Stopped where that is Space, or a signal comes."""
+        self.look()
+        while not self._pressed:
+            sleep(LOOK_S)
+            self._take_keys()
+        return self._pressed.popleft()
+
+    def _take_keys(self) -> None:
         self._raise_signal()
-        pressed = self._pressed()
-        if STOP in pressed:
+        self._pressed.extend(self._typed())
+        if STOP in self._pressed:
             raise Stopped("stopped by Space", 0)
-        return NEXT in pressed
 
     def _raise_signal(self) -> None:
         if self._signal is not None:
             number, self._signal = self._signal, None
             raise Stopped(f"stopped by {signal.Signals(number).name}", 128 + number)
 
-    def _pressed(self) -> str:
+    def _typed(self) -> str:
         if not self.keys or not _in_front() or not select.select([sys.stdin], [], [], 0)[0]:
             return ""
         try:
-            pressed = os.read(sys.stdin.fileno(), 1024)
+            typed = os.read(sys.stdin.fileno(), 1024)
         except OSError:
-            pressed = b""
-        if not pressed:
+            typed = b""
+        if not typed:
             raise Stopped("stopped, because the terminal is gone", 128 + signal.SIGHUP)
-        return pressed.decode(errors="ignore")
+        return typed.decode(errors="ignore")
 
     def _heard(self, number: int, _frame: FrameType | None) -> None:
         self._signal = number

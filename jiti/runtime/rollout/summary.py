@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 
@@ -41,6 +42,25 @@ def wilson(count: int, of: int, z: float = Z_95) -> tuple[float, float]:
     half = z / (1 + share) * math.sqrt(rate * (1 - rate) / of + share / of / 4)
     # Exactly 0 and 1 at the ends, where rounding would leave 1e-17.
     return (0.0 if count == 0 else middle - half), (1.0 if count == of else middle + half)
+
+
+class Outcome(Protocol):
+    """What two guidances are compared by: a rollout of simulation, or an episode that a person judged."""
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def task(self) -> str: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def success(self) -> bool | None: ...
+
+    @property
+    def elegant(self) -> bool: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +114,7 @@ class Pairing:
 
 
 def compare(
-    first: Sequence[Rollout], second: Sequence[Rollout], *, outcome: str = "elegant", draws: int = DRAWS, seed: int = 0
+    first: Sequence[Outcome], second: Sequence[Outcome], *, outcome: str = "elegant", draws: int = DRAWS, seed: int = 0
 ) -> Pairing:
     """Compare two guidances by `elegant` or `success`, on the states (task and seed) that both have played.
 
@@ -131,7 +151,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return float(binomtest(only_second, differ).pvalue) if differ else 1.0
 
 
-def compare_all(rollouts: Sequence[Rollout], outcome: str = "elegant") -> list[Pairing]:
+def compare_all(rollouts: Sequence[Outcome], outcome: str = "elegant") -> list[Pairing]:
     """Every pair of guidances, in the order in which they come."""
     return [compare(a, b, outcome=outcome) for a, b in combinations(_by_label(rollouts).values(), 2)]
 
@@ -171,18 +191,18 @@ def _summary(label: str, rollouts: Sequence[Rollout]) -> MethodSummary:
     )
 
 
-def _by_label(rollouts: Sequence[Rollout]) -> dict[str, list[Rollout]]:
-    found: dict[str, list[Rollout]] = {}
+def _by_label[T: Outcome](rollouts: Sequence[T]) -> dict[str, list[T]]:
+    found: dict[str, list[T]] = {}
     for rollout in rollouts:
         found.setdefault(rollout.label, []).append(rollout)
     return found
 
 
-def _outcomes(rollouts: Sequence[Rollout], outcome: str) -> dict[tuple[str, int], bool]:
+def _outcomes(rollouts: Sequence[Outcome], outcome: str) -> dict[tuple[str, int], bool]:
     found: dict[tuple[str, int], bool] = {}
     for rollout in rollouts:
         key = (rollout.task, rollout.seed)
         if key in found:
             raise UsageError(f"{rollout.label} was played twice from the seed {rollout.seed} of {rollout.task}")
-        found[key] = getattr(rollout, outcome)
+        found[key] = bool(getattr(rollout, outcome))
     return found

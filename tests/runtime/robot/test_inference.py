@@ -15,6 +15,7 @@ from tests.runtime.candidates.conftest import TOLD, checkpoint, inputs, tiny_cri
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot,learn]'")
 pytestmark = pytest.mark.filterwarnings("ignore")
 """lerobot and what it imports warn of themselves."""
+FULL, NONE = Guidance("full", candidates=4), Guidance("none")
 SEEN = {"observation.state": np.linspace(-40, 40, 6, dtype=np.float32)}
 
 
@@ -24,7 +25,7 @@ def brain(tmp_path_factory) -> Brain:
     folder = tmp_path_factory.mktemp("so100")
     policy = checkpoint(tiny_flow(**inputs(state=6, scene=0, action=6)), folder / "policy")
     critic = tiny_critic(folder / "critic", size=6, action=6)
-    return Brain(str(policy), str(critic), Guidance("full", candidates=4), TOLD)
+    return Brain(str(policy), str(critic), (FULL,), TOLD)
 
 
 def answered(inference: Inference):
@@ -38,11 +39,11 @@ def answered(inference: Inference):
 @pytest.mark.slow
 def test_a_decision_is_the_one_of_simulation(brain):
     agent = open_agent(brain, SEEN)
-    guide = Guide(brain.guidance, 3, agent.sampler.noise_shape)
+    guide = Guide(FULL, 3, agent.sampler.noise_shape)
     with Inference(brain) as inference:
         facts = inference.open(SEEN)
         assert facts == Facts(execute=min(agent.sampler.executed, agent.sampler.chunk // 2), history=1)
-        inference.begin(3)
+        inference.begin(3, FULL)
         for frame in range(3):
             inference.ask([SEEN], frame)
             there = answered(inference)
@@ -51,7 +52,7 @@ def test_a_decision_is_the_one_of_simulation(brain):
             assert there.decided.decision.chosen == here.decision.chosen
             assert there.decided.decision.values == pytest.approx(here.decision.values, rel=1e-4)
             assert there.round_trip_s > there.decided.decision.sample_s
-        inference.begin(3)
+        inference.begin(3, FULL)
         inference.ask([SEEN], 0)
         assert answered(inference).decided.decision.decision == 0, "a new episode counts anew"
 
@@ -62,16 +63,16 @@ def test_a_policy_of_another_arm_is_refused_when_it_is_opened(brain):
 
 
 def test_what_makes_the_agent_refuse_is_told_to_who_asked():
-    inference = Inference(Brain("p", None, Guidance("full"), TOLD), robot_agents.without_critic)
+    inference = Inference(Brain("p", None, (Guidance("full"),), TOLD), robot_agents.without_critic)
     with inference, pytest.raises(UsageError, match="needs a critic"):
         inference.open(SEEN)
 
 
 def test_it_ends_though_a_decision_is_under_way():
-    with Inference(Brain("p", None, Guidance("none"), TOLD), robot_agents.stall) as inference:
+    with Inference(Brain("p", None, (NONE,), TOLD), robot_agents.stall) as inference:
         inference.open(SEEN)
         for seed in range(2):
-            inference.begin(seed)
+            inference.begin(seed, NONE)
             inference.ask([SEEN], 0)
             if seed == 0:
                 answered(inference)

@@ -17,7 +17,8 @@ import pytest
 from jiti.episodes.episode import numbers
 from jiti.episodes.reader import open_reader
 from jiti.errors import RobotError, UsageError
-from jiti.runtime.robot.command import RobotRequest, run_robot
+from jiti.runtime.robot.command import run_robot
+from jiti.runtime.robot.request import RobotRequest
 from jiti.runtime.robot.run import Recorded
 from jiti.runtime.robot.tick import Tick
 from jiti.runtime.robot.virtual import Faults
@@ -59,12 +60,12 @@ def test_an_episode_moves_the_arm_and_is_kept(arm, asked, torque, tmp_path):
     assert done.problem is None
     assert torque() == OFF
     first, second = done.report.episodes
-    assert (first.seed, second.seed, first.acting) == (0, 1, 90)
+    assert (first.number, second.number, first.acting) == (0, 1, 90)
     assert first.held == 0
     assert 0 < first.triggered < first.decisions
     assert first.changed == first.triggered
-    assert [(one.seed, off) for one, off in looked] == [(0, OFF), (1, OFF)]
-    path = looked[0][0].path
+    assert [(one.turn.number, off) for one, off in looked] == [(0, OFF), (1, OFF)]
+    path = looked[0][0].turn.path
     episode = open_reader(path).open("so100-T2_0000")
     assert episode.task_id == "so100/T2"
     times, sent = numbers(episode, "/action")
@@ -82,7 +83,7 @@ def test_an_episode_moves_the_arm_and_is_kept(arm, asked, torque, tmp_path):
     decisions = pq.read_table(path.with_suffix(".decisions.parquet")).to_pylist()
     assert all(d["sample_s"] > 0 and d["round_trip_s"] >= d["sample_s"] + d["score_s"] for d in decisions)
     assert all(d["arrived"] - d["frame"] >= d["dropped"] for d in decisions)
-    assert json.loads(done.report.to_json())["episodes"][0]["held"] == 0
+    assert json.loads(done.to_json())["episodes"][0]["held"] == 0
 
 
 def test_a_decision_that_takes_longer_than_its_actions_is_waited_for(asked, torque):
@@ -149,7 +150,7 @@ def test_recordings_are_numbered_on_and_none_is_replaced(asked, tmp_path):
     for number in (0, 7):
         (folder / f"so100-T2_{number:04d}.mcap").write_bytes(b"")
     done, _ = ran(replace(asked, seconds=0.5))
-    assert [(e.seed, Path(e.recording or "").name) for e in done.report.episodes] == [(8, "so100-T2_0008.mcap")]
+    assert [(e.number, Path(e.recording or "").name) for e in done.report.episodes] == [(8, "so100-T2_0008.mcap")]
     with pytest.raises(UsageError, match=r"so100-T2_0007.mcap is there already"):
         ran(replace(asked, seed=6, episodes=2))
 
@@ -186,7 +187,9 @@ def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
         ({"task": None}, "pass --task|Pass --task"),
         ({"critic": None}, "needs a critic"),
         ({"tau": None}, "needs a threshold: pass --tau"),
-        ({"guidance": ("none", "jiti")}, "one guidance at a time"),
+        ({"guidance": ("none", "jiti")}, "a person compares several: add --judge"),
+        ({"judge": True, "record": False}, "leave --no-record"),
+        ({"judge": True, "guidance": ("none", "none")}, "asked for twice"),
         ({"settings": replace(asked.settings, port="")}, "which port"),
     ):
         with pytest.raises(UsageError, match=message):
