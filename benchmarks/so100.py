@@ -21,8 +21,8 @@ from report import Line
 sys.path.append(str(Path(__file__).parents[1]))  # for the agents, which inference's process imports by name
 
 from jiti.runtime.robot.command import run_robot
-from jiti.runtime.robot.request import RobotRequest
 from jiti.runtime.robot.report import EpisodeSummary, Latency
+from jiti.runtime.robot.request import RobotRequest
 from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.virtual import VirtualArm
 from jiti.tasks.catalogue import load_catalogue

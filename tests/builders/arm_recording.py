@@ -1,4 +1,4 @@
-"""A recording of an arm, without an arm: two cameras whose pictures tell their number by their shade, and six joints."""
+"""A recording of an arm, without an arm: two cameras whose pictures tell their number by their shade, six joints."""
 
 from pathlib import Path
 

@@ -168,7 +168,7 @@ def test_what_does_not_fit_is_refused_and_nothing_changes(tmp_path):
         open_kept(tmp_path, {**SETTINGS, "seconds": 5.0}, 4)
     assert (tmp_path / FILE).read_bytes() == before
     (tmp_path / FILE).write_bytes(before[:-9])
-    with pytest.raises(SourceError, match="evaluation.parquet is damaged.*Move it away"):
+    with pytest.raises(SourceError, match=r"evaluation.parquet is damaged.*Move it away"):
         open_kept(tmp_path, SETTINGS, 4)
 
 

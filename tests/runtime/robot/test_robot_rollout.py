@@ -199,7 +199,7 @@ def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_no_torque_and_the_recording(arm, torque, tmp_path, until, number):
     with _program(arm, tmp_path) as program:
-        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        _moves(arm, program, until)
         os.kill(program.pid, number)
         told, _ = program.communicate(timeout=60)
     assert program.returncode == 128 + number
@@ -212,7 +212,7 @@ def test_a_signal_ends_it_with_no_torque_and_the_recording(arm, torque, tmp_path
 def test_space_in_the_terminal_stops_it(arm, torque, tmp_path, until):
     ours, theirs = pty.openpty()
     with _program(arm, tmp_path, stdin=theirs) as program:
-        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        _moves(arm, program, until)
         os.write(ours, b" ")
         told, _ = program.communicate(timeout=60)
     assert program.returncode == 0
@@ -225,7 +225,7 @@ def test_space_in_the_terminal_stops_it(arm, torque, tmp_path, until):
 
 def test_a_second_program_on_the_port_is_refused_and_the_first_goes_on(arm, torque, tmp_path, until):
     with _program(arm, tmp_path / "first") as first:
-        until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2)
+        _moves(arm, first, until)
         with _program(arm, tmp_path / "second") as second:
             told, _ = second.communicate(timeout=60)
         assert second.returncode == 1
@@ -250,6 +250,12 @@ def test_a_minute_at_30_hz(asked, torque, guidance):
     assert episode.held < 900
     assert episode.decisions > 30
     assert torque() == OFF
+
+
+def _moves(arm, program: subprocess.Popen, until) -> None:
+    """Wait until it does, or tell what the program said that ended before."""
+    until(lambda: abs(arm.state().joints["shoulder_pan"]) > 0.2 or program.poll() is not None)
+    assert program.poll() is None, program.communicate()[0]
 
 
 def _program(arm, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen:
