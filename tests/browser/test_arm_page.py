@@ -1,4 +1,4 @@
-"""The page beside an arm in real Chromium: a person judges an episode by keys with its pictures at hand, and Space stops
+"""The page beside an arm in real Chromium: an episode is judged by keys with its pictures at hand, and Space stops
 whatever has the focus."""
 
 from collections.abc import Iterator

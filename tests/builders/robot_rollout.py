@@ -1,6 +1,7 @@
 """`jiti rollout --robot` with an agent of arithmetic, as a program of its own: to be killed, or to be a second one."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from jiti.errors import JitiError
@@ -13,14 +14,17 @@ from jiti.tasks.catalogue import load_catalogue
 from tests.builders import robot_agents
 
 
-def command(arm: VirtualArm, out: Path) -> list[str]:
-    """The program's command line."""
-    return [sys.executable, "-m", __spec__.name, arm.port, arm.id, str(arm.calibration_dir), str(out)]
+def command(arm: VirtualArm, out: Path, *more: str) -> list[str]:
+    """The program's command line; `judge` plays two guidances twice, for a person to judge."""
+    return [sys.executable, "-m", __spec__.name, arm.port, arm.id, str(arm.calibration_dir), str(out), *more]
 
 
-def main(port: str, robot: str, calibration_dir: str, out: str) -> int:
+def main(port: str, robot: str, calibration_dir: str, out: str, *more: str) -> int:
     settings = RobotSettings(port=port, id=robot, calibration_dir=calibration_dir, release_after_s=0.5)
     request = RobotRequest(settings, task="so100/T2", policy="none", out=Path(out), seconds=600.0)
+    if more == ("judge",):
+        judged = {"judge": True, "guidance": ("none", "jiti"), "critic": "c", "tau": 0.5, "episodes": 2}
+        request = replace(request, task="so100/T5", seconds=1.0, **judged)
     try:
         ran = run_robot(request, load_catalogue(), lambda said: print(said, flush=True), make_agent=robot_agents.quick)
     except JitiError as error:

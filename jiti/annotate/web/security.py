@@ -39,7 +39,7 @@ class Guard:
             await self.app(scope, receive, send)
             return
         if scope["type"] != "http":
-            raise RuntimeError(f"the annotator has no {scope['type']} endpoint")
+            raise RuntimeError(f"there is no {scope['type']} endpoint")
 
         async def send_with_policy(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -67,8 +67,7 @@ class Guard:
             return PlainTextResponse("jiti: requests from other pages are refused.", 403)
         if not any(self._matches(given) for given in (self._query_token(scope), *self._carried_tokens(headers))):
             return PlainTextResponse(
-                "jiti: the token is missing or old. Open the address that `jiti annotate` or "
-                "`jiti validate-rewards` printed when it started.",
+                "jiti: the token is missing or old. Open the address that jiti printed when it started.",
                 401,
             )
         return None

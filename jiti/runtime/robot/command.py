@@ -172,7 +172,8 @@ def _run(
                 evaluation.before(turn)
             elif stops.keys and turn is not turns[0]:
                 panel.ask(Shown("ready", "Lay the things out.", "Keep clear of the arm.", keys={NEXT: "begin"}))
-            panel.tell(Shown("running", _keys(stops), keys={NEXT: "end the episode"}))
+            title = evaluation.title(turn.number) if evaluation else f"Episode {turns.index(turn) + 1} of {len(turns)}"
+            panel.tell(Shown("running", _keys(stops), title=title, keys={NEXT: "end the episode"}))
 
         runner = Runner(arm, inference, stops, recording, before, after_episode)
         if request.dry_run:

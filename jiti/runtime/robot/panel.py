@@ -39,7 +39,8 @@ class Panel:
         self._say(shown.text)
 
     def ask(self, shown: Shown) -> str:
-        """The first of the keys that is pressed. Raises Stopped."""
+        """The first of the keys that is pressed once it is shown. Raises Stopped."""
+        self._stops.look()
         self._show(shown)
         self._say("\n".join(line for line in (shown.title, shown.text, shown.detail, keys_text(shown.keys)) if line))
         while (key := self._stops.key()) not in shown.keys:

@@ -85,8 +85,8 @@ class Stops:
         return ends
 
     def key(self) -> str:
-        """Wait for one that is pressed from now on. Raises Stopped where that is Space, or a signal comes."""
-        self.look()
+        """The next one, which is waited for. Raises Stopped where that is Space, or a signal comes."""
+        self._take_keys()
         while not self._pressed:
             sleep(LOOK_S)
             self._take_keys()

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from jiti.annotate.labels import read_segments
 from jiti.episodes.episode import numbers
 from jiti.episodes.reader import open_reader
 from jiti.errors import RobotError, UsageError
@@ -223,6 +224,48 @@ def test_space_in_the_terminal_stops_it(arm, torque, tmp_path, until):
     os.close(theirs)
 
 
+def test_a_person_judges_by_keys_what_the_arm_did_and_it_goes_on_another_day(arm, torque, tmp_path):
+    """Two layouts, two guidances: the first run is left at the third question, the second one begins with it."""
+    judged = _judging(arm, tmp_path, "\ny", "n", "\ny", " ")
+    assert "2 of 4 episodes" in judged or "1 of 4 episodes" in judged
+    assert "jiti: " not in judged.partition("episodes are judged")[0].replace("jiti rollout", "")
+    told = _judging(arm, tmp_path, "y", "y", "\ny", "y", "\ny", "n")
+    assert torque() == OFF
+    assert "Judged by a person, 95% intervals by Wilson" in told
+    rows = pq.read_table(tmp_path / "evaluation.parquet").to_pylist()
+    assert [(row["success"], dict(row["itcs"])["so100/T5/shut-smoothly"]) for row in rows] == [
+        (True, False),
+        (True, True),
+        (True, True),
+        (True, False),
+    ]
+    assert sorted((row["layout"], row["guidance"]) for row in rows) == [
+        (0, "jiti"),
+        (0, "none"),
+        (1, "jiti"),
+        (1, "none"),
+    ]
+    labels = read_segments(Path(open_reader(tmp_path / "judged").labels_dir)).to_pylist()
+    assert [(row["source"], row["reward"]) for row in labels] == [("human", r) for r in (0, 1, 1, 0)]
+
+
+def _judging(arm, out: Path, *keys: str) -> str:
+    """What it says to a person who presses one of the keys at each prompt; the keys of a text at one after another."""
+    ours, theirs = pty.openpty()
+    presses, said = iter("".join(keys)), []
+    with _program(arm, out, "judge", stdin=theirs) as program:
+        for line in program.stdout:
+            said.append(line)
+            if "[Space] stop" in line:
+                os.write(ours, next(presses).encode())
+        program.wait(timeout=60)
+    os.close(ours)
+    os.close(theirs)
+    assert next(presses, None) is None, "".join(said)
+    assert program.returncode in (0, 1), "".join(said)
+    return "".join(said)
+
+
 def test_a_second_program_on_the_port_is_refused_and_the_first_goes_on(arm, torque, tmp_path, until):
     with _program(arm, tmp_path / "first") as first:
         _moves(arm, first, until)
@@ -258,10 +301,10 @@ def _moves(arm, program: subprocess.Popen, until) -> None:
     assert program.poll() is None, program.communicate()[0]
 
 
-def _program(arm, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen:
+def _program(arm, out: Path, *more: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     return subprocess.Popen(
-        robot_rollout.command(arm, out),
+        robot_rollout.command(arm, out, *more),
         stdin=stdin,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -50,7 +50,7 @@ class Evaluation:
         while True:
             last = max((row for row in self.kept.rows if row.judged_at), key=_judged_at, default=None)
             keys = {NEXT: "begin", **({BACK: "judge the last one again"} if last else {})}
-            title = self._title(turn.number)
+            title = self.title(turn.number)
             key = self._panel.ask(Shown("ready", how, f"Layout {slot.layout + 1}; keep clear of the arm.", title, keys))
             if key == NEXT or last is None:
                 return
@@ -67,7 +67,7 @@ class Evaluation:
 
     def _judge(self, row: Judged) -> None:
         path = self.folder / row.recording
-        answers = ask(self._panel, self._task, path, self._title(row.number))
+        answers = ask(self._panel, self._task, path, self.title(row.number))
         save_verdicts(path, self._task, answers, self._annotator)
         judged = replace(
             row, success=answers.success, itcs=answers.itcs, annotator=self._annotator, judged_at=time.time_ns()
@@ -86,7 +86,7 @@ class Evaluation:
             path = self.folder / f"{stem}-again{again}{RECORDING_SUFFIX}"
         return path
 
-    def _title(self, number: int) -> str:
+    def title(self, number: int) -> str:
         return f"Episode {number + 1} of {self.kept.planned}"
 
 

@@ -52,6 +52,7 @@ async function refresh() {
       .map(([key, name, does]) => make("button", { onclick: () => press(key), data: { key } }, make("kbd", {}, name), ` ${does}`)),
   );
   byId("stop").hidden = now.phase === "over";
+  text("stop-text", now.phase === "running" ? "Stop the arm" : "Stop here and go on another time");
   if (now.recording !== before) await openRecording();
 }
 
