@@ -772,8 +772,8 @@ def rollout(
     Example: jiti rollout --robot so100 --port virtual --task so100/T4 --policy policy --guidance none
     """
     if robot is not None or robot_config is not None or port is not None:
-        if branch is not None or calibrate_tau is not None:
-            raise UsageError("--branch and --calibrate-tau are for simulation: leave them out, or --robot and --port.")
+        if branch is not None:
+            raise UsageError("--branch is for simulation: leave it out, or --robot and --port.")
         _play_on_robot(
             {"kind": robot and robot.value, "port": port, "id": robot_id},
             robot_config,
@@ -788,6 +788,7 @@ def rollout(
             window=window,
             tau=tau,
             tau_scale=tau_scale,
+            calibrate_tau=calibrate_tau,
             episodes=episodes,
             seconds=seconds,
             seed=seed,

@@ -19,8 +19,9 @@ from jiti.runtime.robot.panel import Panel, Shown
 from jiti.runtime.robot.recording import Recording
 from jiti.runtime.robot.report import RobotReport
 from jiti.runtime.robot.request import (
-    FOLDER,
     RobotRequest,
+    asked_of,
+    folder_of,
     guidances_of,
     layouts_of,
     shared_of,
@@ -32,6 +33,7 @@ from jiti.runtime.robot.run import AfterEpisode, Runner
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
 from jiti.runtime.robot.stops import NEXT, Stopped, Stops
+from jiti.runtime.robot.tau import measure_tau, save_tau
 from jiti.runtime.robot.told import Told
 from jiti.runtime.robot.turn import Turn
 from jiti.runtime.robot.virtual import VirtualArm
@@ -113,12 +115,13 @@ def _run(
     ended: Callable[[Ran], None],
 ) -> None:
     """`ended` is told what is to be printed, before all is closed."""
-    task, guidances = task_of(request, catalogue), guidances_of(request)
+    task = task_of(request, catalogue)
+    folder = folder_of(request, task)
+    guidances = guidances_of(request, task, folder)
     if request.policy is None:
         raise UsageError("an arm needs a policy of its own: pass --policy, a checkpoint or run of lerobot-train.")
     if not request.settings.port:
         raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
-    folder = request.out or FOLDER / task.task_id.replace("/", "-")
     brain = Brain(request.policy, request.critic, guidances, task.instruction, request.device, request.settings.execute)
     turns = [] if request.judge else turns_of(request, folder, task, guidances[0])
     with ExitStack() as stack:
@@ -191,6 +194,10 @@ def _run(
             misread=arm.misread,
             overloads=arm.overloads,
         )
+        if request.calibrate_tau is not None and problem is None:
+            found = measure_tau([turn.path for turn in turns], request.calibrate_tau, asked_of(request, task))
+            say(f"{found}. Kept in {save_tau(folder, found)}, for this policy and critic on this task.")
+            report = replace(report, taken=report.taken | {"tau": found.tau})
         ended(told(report, problem))
         if viewer is not None and problem is None:
             with suppress(Stopped):

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from jiti.errors import UsageError
-from jiti.runtime.guidance import CANDIDATES, WINDOW, Guidance, Method, Pick
+from jiti.runtime.guidance import CANDIDATES, WINDOW, Guidance, Pick
 from jiti.runtime.robot.settings import RobotSettings
+from jiti.runtime.robot.tau import Asked, stored_tau
 from jiti.runtime.robot.turn import Turn
 from jiti.runtime.rollout.plan import label_of, parse_guidance, settings_of
 from jiti.runtime.rollout.plan_file import fingerprint
@@ -19,6 +20,10 @@ SECONDS = 30.0
 """Of an episode. Our choice: what the paper's tasks take, twice."""
 EVALUATED = 20
 """Layouts of an evaluation. Our choice: an hour for two guidances; Wilson's interval is then 40 points wide."""
+CALIBRATED = 5
+"""Episodes that tau is measured on. Our choice: some 200 decisions of SmolVLA, which place the rate to 4 points."""
+CALIBRATION = "calibration"
+"""Folder of their recordings."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,8 @@ class RobotRequest:
     window: int = WINDOW
     tau: float | None = None
     tau_scale: float = 1.0
+    calibrate_tau: float | None = None
+    """The share of decisions that is to trigger: episodes are played in which nothing is done, and tau follows."""
     episodes: int | None = None
     seconds: float = SECONDS
     seed: int | None = None
@@ -55,32 +62,40 @@ def task_of(request: RobotRequest, catalogue: Catalogue) -> Task:
     return catalogue.task(request.task)
 
 
+def folder_of(request: RobotRequest, task: Task) -> Path:
+    """Of a task's rollouts."""
+    return request.out or FOLDER / task.task_id.replace("/", "-")
+
+
 def taken_of(request: RobotRequest, guidances: tuple[Guidance, ...]) -> dict[str, Any]:
+    """What a report says of how it came about."""
     taken: dict[str, Any] = {"policy": request.policy, "critic": request.critic, "settings": asdict(request.settings)}
-    taken |= {"guidance": ", ".join(map(label_of, guidances)), "tau": _tau(request), "dry_run": request.dry_run}
-    return taken
+    tau = next((guidance.tau for guidance in guidances if guidance.method == "jiti"), None)
+    return taken | {"guidance": ", ".join(map(label_of, guidances)), "tau": tau, "dry_run": request.dry_run}
 
 
 def shared_of(request: RobotRequest, task: Task, guidances: tuple[Guidance, ...]) -> dict[str, Any]:
     """What all episodes of an evaluation have in common."""
-
-    def known(name: str | None) -> str | None:
-        folder = Path(name).expanduser() if name else None
-        return fingerprint(folder) if folder and folder.is_dir() else name
-
     shared: dict[str, Any] = {"task": task.task_id, "robot": request.settings.kind, "seconds": request.seconds}
-    shared |= {"policy": known(request.policy), "itcs": [itc.itc_id for itc in task.itcs]}
+    shared |= {"policy": _identity(request.policy), "itcs": [itc.itc_id for itc in task.itcs]}
     for guidance in guidances:
-        shared[f"guidance {label_of(guidance)}"] = settings_of(guidance, known(request.critic))
+        shared[f"guidance {label_of(guidance)}"] = settings_of(guidance, _identity(request.critic))
     return shared | {"guidances": sorted(map(label_of, guidances))}
+
+
+def asked_of(request: RobotRequest, task: Task) -> Asked:
+    """What a tau of these rollouts is for."""
+    policy, critic = _identity(request.policy) or "", _identity(request.critic) or ""
+    return Asked(task.task_id, request.settings.kind, policy, critic, request.window)
 
 
 def turns_of(request: RobotRequest, folder: Path, task: Task, guidance: Guidance) -> list[Turn]:
     """Without a first seed they go on behind those there. Raises UsageError where one would take another's place."""
-    stem, folder = task.task_id.replace("/", "-"), folder / label_of(guidance)
+    calibrating = request.calibrate_tau is not None
+    stem, folder = task.task_id.replace("/", "-"), folder / (CALIBRATION if calibrating else label_of(guidance))
     there = [int(one.stem.rpartition("_")[2]) for one in folder.glob(f"{stem}_[0-9]*{RECORDING_SUFFIX}")]
     first = max(there, default=-1) + 1 if request.seed is None else request.seed
-    seeds = range(first, first + (request.episodes or 1))
+    seeds = range(first, first + (request.episodes or (CALIBRATED if calibrating else 1)))
     turns = [Turn(seed, seed, guidance, folder / f"{stem}_{seed:04d}{RECORDING_SUFFIX}") for seed in seeds]
     if request.record and (taken := [turn.path for turn in turns if turn.number in there]):
         raise UsageError(f"{taken[0]} is there already: leave --seed out, or pass another --out.")
@@ -92,37 +107,52 @@ def layouts_of(request: RobotRequest) -> int:
     return request.episodes or EVALUATED
 
 
-def guidances_of(request: RobotRequest) -> tuple[Guidance, ...]:
+def guidances_of(request: RobotRequest, task: Task, folder: Path) -> tuple[Guidance, ...]:
     """Raises UsageError for what does not fit together, or lacks a critic or a threshold."""
+    _check(request)
+    if request.calibrate_tau is not None:  # the critic is asked, and nothing is done about it
+        return (Guidance("jiti", candidates=request.candidates, window=request.window, tau=float("inf")),)
     wanted = list(request.guidance) or ["jiti" if request.critic else "none"]
     if len(wanted) > 1 and not request.judge:
         raise UsageError(
             "an arm plays one guidance at a time, and a person compares several: add --judge, or pass one --guidance."
         )
-    if request.judge and not request.record:
-        raise UsageError("what is judged is recorded, on an arm that moves: leave --no-record and --dry-run out.")
-    if request.judge and request.seed is not None:
-        raise UsageError("an evaluation numbers its layouts from 0: leave --seed out.")
-    found = [_guidance(request, *parse_guidance(one, request.pick)) for one in wanted]
+    found = []
+    for method, pick in (parse_guidance(one, request.pick) for one in wanted):
+        if method != "none" and request.critic is None:
+            raise UsageError(f"--guidance {method} needs a critic: pass --critic RUN.")
+        tau = None
+        if method == "jiti":
+            tau = request.tau_scale * (
+                stored_tau(folder, asked_of(request, task)) if request.tau is None else request.tau
+            )
+        found.append(Guidance(method, pick, request.candidates, request.window, tau))
     labels = [label_of(guidance) for guidance in found]
     if twice := [label for label in labels if labels.count(label) > 1]:
         raise UsageError(f"--guidance {twice[0]} is asked for twice.")
     return tuple(found)
 
 
-def _guidance(request: RobotRequest, method: Method, pick: Pick) -> Guidance:
-    if method != "none" and request.critic is None:
-        raise UsageError(f"--guidance {method} needs a critic: pass --critic RUN.")
-    tau = None
-    if method == "jiti":
-        tau = _tau(request)
-        if tau is None:
-            raise UsageError(
-                "JITI needs a threshold: pass --tau. Play some episodes with --tau inf first: delta_q in their "
-                ".decisions.parquet says what jumps there are, of which a third is to be above tau (G.6)."
-            )
-    return Guidance(method, pick, request.candidates, request.window, tau)
+def _check(request: RobotRequest) -> None:
+    """Raises UsageError for what does not go together."""
+    if request.judge and not request.record:
+        raise UsageError("what is judged is recorded, on an arm that moves: leave --no-record and --dry-run out.")
+    if request.judge and request.seed is not None:
+        raise UsageError("an evaluation numbers its layouts from 0: leave --seed out.")
+    if request.calibrate_tau is None:
+        return
+    if request.critic is None:
+        raise UsageError("tau is a threshold on a critic's values: pass --critic RUN.")
+    if not 0 < request.calibrate_tau < 1:
+        raise UsageError(f"--calibrate-tau {request.calibrate_tau:g}: a share between 0 and 1; the paper's is 0.339.")
+    if request.guidance or request.tau is not None or request.judge or not request.record:
+        raise UsageError(
+            "--calibrate-tau plays and records episodes in which nothing is done: leave --guidance, --tau, --judge, "
+            "--dry-run and --no-record out."
+        )
 
 
-def _tau(request: RobotRequest) -> float | None:
-    return None if request.tau is None else request.tau * request.tau_scale
+def _identity(name: str | None) -> str | None:
+    """Of a policy or a critic, so that other weights in its place are known."""
+    folder = Path(name).expanduser() if name else None
+    return fingerprint(folder) if folder and folder.is_dir() else name

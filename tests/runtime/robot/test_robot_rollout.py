@@ -156,6 +156,21 @@ def test_recordings_are_numbered_on_and_none_is_replaced(asked, tmp_path):
         ran(replace(asked, seed=6, episodes=2))
 
 
+def test_tau_is_measured_on_episodes_of_their_own_and_taken_from_then_on(asked, tmp_path):
+    free = replace(asked, tau=None, guidance=())
+    done, said = ran(replace(free, calibrate_tau=0.5, episodes=2))
+    assert done.problem is None
+    assert sum(e.triggered for e in done.report.episodes) == 0
+    assert any("decisions in 2 episodes exceed it" in one for one in said)
+    assert {path.parent.name for path in tmp_path.rglob("*.mcap")} == {"calibration"}
+    done, _ = ran(free)
+    (episode,) = done.report.episodes
+    assert done.report.taken["tau"] == json.loads((tmp_path / "tau.json").read_bytes())["tau"]
+    assert 0 < episode.triggered < episode.decisions
+    with pytest.raises(UsageError, match="calibrated with window 2 and not 3"):
+        ran(replace(free, window=3))
+
+
 def test_a_dry_run_says_where_it_would_go(arm, asked, torque, tmp_path):
     before = arm.memories()[1].read(0, 56)
     done, said = ran(replace(asked, dry_run=True))
@@ -187,7 +202,8 @@ def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
         ({"policy": None}, "pass --policy"),
         ({"task": None}, "pass --task|Pass --task"),
         ({"critic": None}, "needs a critic"),
-        ({"tau": None}, "needs a threshold: pass --tau"),
+        ({"tau": None}, "needs a threshold, and .* has none: pass --calibrate-tau"),
+        ({"calibrate_tau": 0.3}, "leave --guidance, --tau"),
         ({"guidance": ("none", "jiti")}, "a person compares several: add --judge"),
         ({"judge": True, "record": False}, "leave --no-record"),
         ({"judge": True, "guidance": ("none", "none")}, "asked for twice"),
