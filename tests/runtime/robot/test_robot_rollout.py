@@ -3,9 +3,11 @@
 import json
 import os
 import pty
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
@@ -213,6 +215,25 @@ def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
             ran(replace(asked, **change))
 
 
+@pytest.mark.skipif(shutil.which("setsid") is None, reason="no setsid of util-linux")
+@pytest.mark.parametrize(
+    ("key", "number"), [(b"\x1a", signal.SIGTSTP), (b"\x1c", signal.SIGQUIT), (b"\x03", signal.SIGINT)]
+)
+def test_ctrl_z_and_the_like_in_its_own_terminal_stop_the_arm_and_suspend_nothing(
+    arm, torque, tmp_path, until, key, number
+):
+    ours, theirs = pty.openpty()
+    with _program(arm, tmp_path, stdin=theirs, before=("setsid", "--ctty", "--wait")) as program:
+        _moves(arm, program, until)
+        os.write(ours, key)
+        told, _ = program.communicate(timeout=60)
+    os.close(ours)
+    os.close(theirs)
+    assert f"stopped by {number.name}" in told
+    assert program.returncode == 128 + number
+    assert torque() == OFF
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_no_torque_and_the_recording(arm, torque, tmp_path, until, number):
     with _program(arm, tmp_path) as program:
@@ -317,10 +338,12 @@ def _moves(arm, program: subprocess.Popen, until) -> None:
     assert program.poll() is None, program.communicate()[0]
 
 
-def _program(arm, out: Path, *more: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen:
+def _program(
+    arm, out: Path, *more: str, stdin: int = subprocess.DEVNULL, before: Sequence[str] = ()
+) -> subprocess.Popen:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     return subprocess.Popen(
-        robot_rollout.command(arm, out, *more),
+        [*before, *robot_rollout.command(arm, out, *more)],
         stdin=stdin,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
