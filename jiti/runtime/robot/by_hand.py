@@ -5,7 +5,7 @@ from dataclasses import replace
 from jiti.runtime.robot.limits import Joints
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.stops import Stops
-from jiti.runtime.robot.tick import Seen, Tick, Watcher
+from jiti.runtime.robot.tick import Seen, Tick, Watcher, state_of
 from jiti.runtime.robot.ways import Acted, Way
 
 
@@ -41,4 +41,5 @@ class ByHand(Way):
         pass
 
     def _joints(self, seen: Seen) -> Joints:
-        return {name: float(seen[f"{name}.pos"]) for name in self._arm.joints}
+        """To the last digit as they are recorded."""
+        return dict(zip(self._arm.joints, state_of(seen, self._arm.joints).tolist(), strict=True))

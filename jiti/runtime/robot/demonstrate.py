@@ -19,7 +19,7 @@ from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.scripted import Scripted
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
 from jiti.runtime.robot.stops import Stopped
-from jiti.runtime.robot.teller import Say
+from jiti.runtime.robot.teller import Say, Teller
 from jiti.runtime.robot.virtual import VirtualArm
 from jiti.runtime.robot.virtual.demonstrator import check_script
 from jiti.runtime.robot.virtual.scenes import EMPTY
@@ -108,9 +108,13 @@ def _record(
     """Recordings of seeds; what ended it before the last, and how many exchanges with the arm were tried again."""
     with ExitStack() as stack:
         keys = stack.enter_context(Keys())
-        settings, hand, seen = _virtual(request, settings, task, stack)
+        tell = Teller(say)
+        stack.callback(tell.close)
+        settings, scene, hand = _virtual(request, settings, task, stack)
         leader = stack.enter_context(Leader(settings)) if settings.leader else None
-        arm = stack.enter_context(SafeArm(settings, say=say, cameras=seen if cameras is None else cameras))
+        if scene is not None and cameras is None:
+            cameras = scene.cameras()
+        arm = stack.enter_context(SafeArm(settings, say=say, cameras=cameras))
         way = Following(arm, leader) if leader else ByHand(arm)
 
         def opened(seed: int, manner: str) -> Recording:
@@ -119,15 +123,16 @@ def _record(
             return Recording(paths[seed], arm.joints, names, instruction=task.instruction, about=own)
 
         if leader is None:
-            say("The arm has no torque: move it by hand.")
-        recorder = Recorder(arm, way, keys, hand, say, paths.__getitem__, opened)
+            tell("The arm has no torque: move it by hand.")
+        lay_out = scene.reset if scene else lambda _seed: None
+        recorder = Recorder(arm, way, keys, hand, lay_out, tell, paths.__getitem__, opened)
         return recorder.record(list(paths), request.seconds), arm.misread
 
 
 def _virtual(
     request: RecordRequest, settings: RobotSettings, task: Task, stack: ExitStack
-) -> "tuple[RobotSettings, Scripted | None, dict[str, CameraConfig] | None]":
-    """Settings with the ports of the arms that are simulated, whose hand it is, and the follower's cameras."""
+) -> tuple[RobotSettings, VirtualArm | None, Scripted | None]:
+    """Settings with the ports of arms that are simulated; the one that is to do the task; whose hand demonstrates."""
     if settings.port != VIRTUAL:
         return settings, None, None
     arm = moved = stack.enter_context(VirtualArm(task.task_id, seed=request.seed))
@@ -137,9 +142,8 @@ def _virtual(
         folder = str(moved.calibration_dir)
         settings = replace(settings, leader=moved.port, leader_id=moved.id, leader_calibration_dir=folder)
     elif settings.leader:
-        return settings, None, arm.cameras()
-    quality = QUALITY if request.quality is None else request.quality
-    return settings, Scripted(arm, moved, quality), arm.cameras()
+        return settings, arm, None
+    return settings, arm, Scripted(arm, moved, QUALITY if request.quality is None else request.quality)
 
 
 def _settings(settings: RobotSettings) -> RobotSettings:

@@ -30,6 +30,8 @@ class Recorder:
     keys: Keys
     hand: Scripted | None
     """Who demonstrates, where it is no person."""
+    lay_out: Callable[[int], None]
+    """Puts things where a seed says; does nothing where a person does that."""
     say: Say
     path: Callable[[int], Path]
     """Of a seed's recording."""
@@ -38,53 +40,54 @@ class Recorder:
 
     def record(self, seeds: Sequence[int], seconds: float) -> Exception | None:
         """What ended it before the last: Stopped, or an error. What was recorded until then is kept."""
-        done = 0
+        done, redoable = 0, False
         try:
             while seeds:
-                if self._is_to_be_anew(seeds, done):
-                    done -= 1
+                if self._is_to_be_anew(seeds, done, redoable=redoable):
+                    done, redoable = done - 1, False  # one at a time: a key may be held down
                     delete(self.path(seeds[done]))
                     self.say(f"{self.path(seeds[done]).name} is deleted.")
                 elif done == len(seeds):
                     break
                 else:
-                    done += self._one(seeds[done], seconds)
+                    redoable = self._one(seeds[done], seconds)
+                    done += redoable
         except Exception as problem:
             return problem
         return None
 
-    def _is_to_be_anew(self, seeds: Sequence[int], done: int) -> bool:
+    def _is_to_be_anew(self, seeds: Sequence[int], done: int, *, redoable: bool) -> bool:
         """Wait for Enter; whether the episode before is to be recorded anew instead."""
-        if self.hand is not None and done < len(seeds):
-            self.hand.lay_out(seeds[done])
+        if done < len(seeds):
+            self.lay_out(seeds[done])
         if not self.keys.keys:
             return False
         asked = f"{self.path(seeds[done]).name}: Enter begins" if done < len(seeds) else "All are there: Enter ends"
-        anew = f", r records {self.path(seeds[done - 1]).name} anew" if done else ""
+        anew = f", r records {self.path(seeds[done - 1]).name} anew" if redoable else ""
         self.say(f"{asked}{anew}, Space ends everything.")
         while not self.keys.look():
-            if self.keys.again() and done:
+            if self.keys.again() and redoable:
                 return True
             sleep(LOOK_S)
         return False
 
     def _one(self, seed: int, seconds: float) -> bool:
         """Whether it was recorded, and not given up to be recorded anew. Raises what stopped it, when it is saved."""
-        recording = self.open(seed, self.hand.plan(seed) if self.hand else "")
-        take = Take(self.arm, self.way, self.keys, recording, self.hand.over if self.hand else lambda: False)
-        ended, problem = self._take(take, seconds)
-        try:
-            with self.keys.guarded():
-                if take.steps == 0 or ended == AGAIN:
+        with self.keys.guarded():
+            recording = self.open(seed, self.hand.plan(seed) if self.hand else "")
+            take = Take(self.arm, self.way, self.keys, recording, self.hand.over if self.hand else lambda: False)
+            ended, problem = self._take(take, seconds)
+            try:
+                if take.read == 0 or ended == AGAIN:
                     recording.discard()
                 else:
                     self.way.finish(recording)
-                    recording.finish(str(problem or ended))
-                    self._tell(recording, str(problem or ended))
-        except Exception as error:
-            problem = problem or error
-        if problem is not None:
-            raise problem
+                    recording.finish(ended or str(problem))
+                    self._tell(recording, ended or str(problem))
+            except Exception as error:
+                problem = problem or error
+            if problem is not None:
+                raise problem
         if self.hand is not None:
             self.hand.wait(self.keys)
         return ended != AGAIN
@@ -93,7 +96,7 @@ class Recorder:
         """What ended it, and what stopped it or kept the arm from going back; the arm is at rest in any case."""
         ended = ""
         try:
-            with self.keys.guarded(), prompt():
+            with prompt():
                 try:
                     self.way.begin(self.keys)
                     if self.hand is not None:

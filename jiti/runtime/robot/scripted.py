@@ -16,9 +16,6 @@ class Scripted:
     def __init__(self, scene: VirtualArm, moved: VirtualArm, quality: float) -> None:
         self._scene, self._moved, self._quality = scene, moved, quality
 
-    def lay_out(self, seed: int) -> None:
-        self._scene.reset(seed)
-
     def plan(self, seed: int) -> str:
         """Look at the scene; in which manner the task will be shown."""
         shown = demonstrate(self._scene.task, self._state(), seed, self._quality)

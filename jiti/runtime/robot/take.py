@@ -24,6 +24,8 @@ class Take:
     """Whether who demonstrates has come to an end."""
     steps: int = 0
     """Taken so far."""
+    read: int = 0
+    """Of these, those at which the arm could be read."""
 
     def run(self, seconds: float) -> str:
         """What ended it. The arm is ready, as its way wants it.
@@ -67,4 +69,5 @@ class Take:
         )
         self.way.tell(tick, self.watcher)
         self.steps += 1
+        self.read += seen is not None
         return began_s
