@@ -2,10 +2,8 @@
 
 import json
 import os
-import pty
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +27,8 @@ from jiti.runtime.robot.virtual.demonstrator import REST, now
 from jiti.runtime.robot.virtual.hand import smooth
 from jiti.runtime.sim.record import recorded_metadata
 from jiti.tasks.catalogue import load_catalogue
+from tests.builders import robot_record
+from tests.builders.robot_record import at_terminal
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
@@ -208,44 +208,45 @@ def test_sigterm_in_the_middle_keeps_what_was_recorded_and_the_next_run_goes_on(
     assert not list((tmp_path / "demos").glob(".tmp-*"))
 
 
-def test_enter_begins_and_ends_r_records_anew_and_space_stops(settings, torque, tmp_path, until):
-    with keyed(settings, tmp_path) as (recording, press, said):
-        until(lambda: "so100-T2_0000.mcap: Enter begins" in said())
-        assert not list((tmp_path / "demos").glob("*.mcap"))
-        press("\n", "Recording")
+def test_enter_begins_and_ends_r_records_anew_and_space_stops(settings, torque, tmp_path):
+    first = path_of(tmp_path / "demos", "so100/T2", 0)
+    with at_terminal(command(settings, tmp_path), tmp_path / "said.txt") as keyboard:
+        keyboard.wait_for("so100-T2_0000.mcap: Enter begins, Space")
+        assert not first.exists()
+        keyboard.press("\n", "Recording")
         sleep(1)
-        press("\n", "so100-T2_0001.mcap: Enter begins, r records so100-T2_0000.mcap anew")
-        first = path_of(tmp_path / "demos", "so100/T2", 0)
+        keyboard.press("\n", "so100-T2_0001.mcap: Enter begins, r records so100-T2_0000.mcap anew")
         before = recorded_metadata(first)
         assert before["ended"] == "Enter"
-        press("r", "so100-T2_0000.mcap is deleted")
+        keyboard.press("rr", "so100-T2_0000.mcap: Enter begins, Space")
         assert not first.exists()
-        press("\n", "Recording")
+        keyboard.press("\n", "Recording")
         sleep(0.5)
-        press("\x7f", "so100-T2_0000.mcap: Enter begins")
+        keyboard.press("\x7f", "so100-T2_0000.mcap: Enter begins")
         assert not first.exists(), "Backspace in the middle"
-        press("\n", "Recording")
+        keyboard.press("\n", "Recording")
         sleep(2)
-        press("\n", "so100-T2_0001.mcap: Enter begins")
+        keyboard.press("\n", "so100-T2_0001.mcap: Enter begins")
         assert int(recorded_metadata(first)["steps"]) > int(before["steps"])
-        press("\n", "Recording")
+        keyboard.press("\n", "Recording")
         sleep(0.5)
-        press("\n", "All are there: Enter ends, r records so100-T2_0001.mcap anew")
-        press("r", "so100-T2_0001.mcap is deleted")
-        press(" ", "1 of 2 episodes")
-        assert recording.wait(60) == 0
+        keyboard.press("\n", "All are there: Enter ends, r records so100-T2_0001.mcap anew")
+        keyboard.press("r", "so100-T2_0001.mcap: Enter begins, Space")
+        keyboard.press("r", "")
+        keyboard.press(" ", "1 of 2 episodes")
+        assert keyboard.program.wait(60) == 0
     assert torque() == OFF
-    assert not list((tmp_path / "demos").glob(".tmp-*"))
+    assert [path.name for path in sorted((tmp_path / "demos").iterdir())] == [first.name, f"{first.stem}.ticks.parquet"]
 
 
-def test_space_in_the_middle_stops_an_arm_that_follows(leader_arm, led_settings, torque, tmp_path, until):
-    with keyed(led_settings, tmp_path) as (recording, press, said):
-        until(lambda: "Enter begins" in said())
+def test_space_in_the_middle_stops_an_arm_that_follows(leader_arm, led_settings, torque, tmp_path):
+    with at_terminal(command(led_settings, tmp_path), tmp_path / "said.txt") as keyboard:
+        keyboard.wait_for("Enter begins")
         assert torque() == OFF
-        press("\n", "Recording")
+        keyboard.press("\n", "Recording")
         sleep(1)
-        press(" ", "was stopped in the middle (stopped by Space)")
-        assert recording.wait(60) == 0
+        keyboard.press(" ", "was stopped in the middle (stopped by Space)")
+        assert keyboard.program.wait(60) == 0
     assert torque() == OFF
     assert len(numbers(opened(tmp_path / "demos")[1], "/joints")[1]) > 5
 
@@ -265,57 +266,20 @@ def test_a_virtual_hand_closes_the_drawer(leader, tmp_path):
     assert any("ended: the hand was done" in told for told in said)
 
 
-def environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-
-
 def command(settings: RobotSettings, folder: Path) -> list[str]:
-    lines = [
-        f'{key} = "{getattr(settings, key)}"'
-        for key in ("kind", "port", "id", "calibration_dir", "leader", "leader_id", "leader_calibration_dir")
-    ]
-    (folder / "arm.toml").write_text("\n".join([*lines, "release_after_s = 0.5", "lost_s = 1.0"]))
-    options = ["--robot-config", str(folder / "arm.toml"), "--out", str(folder / "demos"), "--episodes", "2"]
-    return [sys.executable, "-m", "jiti", "record", "--task", "so100/T2", *options, "--seconds", "600"]
+    """Two episodes that a person ends."""
+    config = robot_record.write_settings(folder / "arm.toml", settings)
+    options = ["--out", str(folder / "demos"), "--episodes", "2", "--seconds", "600"]
+    return robot_record.jiti("record", "--robot-config", config, "--task", "so100/T2", *options)
 
 
 def program(settings: RobotSettings, folder: Path) -> subprocess.Popen:
-    """`jiti record` without a terminal."""
+    """Without a terminal."""
     return subprocess.Popen(
         command(settings, folder),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        env=environment(),
+        env=robot_record.environment(),
     )
-
-
-@contextmanager
-def keyed(settings: RobotSettings, folder: Path):
-    """`jiti record` at a terminal: the program, what presses a key and waits for words, and all words so far."""
-    ours, theirs = pty.openpty()
-    log = folder / "said.txt"
-    with log.open("w") as said:
-        recording = subprocess.Popen(
-            command(settings, folder), stdin=theirs, stdout=said, stderr=subprocess.STDOUT, env=environment()
-        )
-
-    def press(key: str, until_said: str) -> None:
-        before = len(log.read_text())
-        os.write(ours, key.encode())
-        for _ in range(1500):
-            if until_said in log.read_text()[before:]:
-                return
-            assert recording.poll() is None or until_said in log.read_text()[before:], log.read_text()
-            sleep(0.02)
-        pytest.fail(f"{until_said!r} was not said: {log.read_text()}")
-
-    try:
-        yield recording, press, log.read_text
-    finally:
-        if recording.poll() is None:
-            recording.terminate()
-            recording.wait(60)
-        os.close(ours)
-        os.close(theirs)
