@@ -513,7 +513,7 @@ def curate(
 @app.command(short_help="Record demonstrations, in simulation or on an arm.")
 def record(
     context: typer.Context,
-    task: Annotated[str, typer.Option("--task", help="A task of simulation: T2, rq3/seen-A, close-microwave.")],
+    task: Annotated[str, typer.Option("--task", help="T2, rq3/seen-A, close-microwave; on an arm, any: so100/T5.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the recordings. Default: jiti-TASK.")] = None,
     episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes that are there in the end.")] = 10,
     quality: Annotated[

@@ -1,10 +1,8 @@
 """An arm that follows a leader."""
 
-import numpy as np
-
 from jiti.runtime.robot.leader import Leader
 from jiti.runtime.robot.limits import Joints
-from jiti.runtime.robot.loop import RETURN_STEP, Pace, go_back
+from jiti.runtime.robot.loop import RETURN_STEP, Pace, go_back, nearer
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.stops import Stops
 from jiti.runtime.robot.tick import Seen, Tick, Watcher
@@ -56,6 +54,6 @@ class Following(Way):
     def _go_nearer(self, wanted: Joints) -> bool:
         """A slow step; whether it is there."""
         limits, goal = self._arm.limits, self._arm.goal
-        left = {name: min(max(wanted[name], limits.low[name]), limits.high[name]) - goal[name] for name in goal}
-        self._arm.send({name: goal[name] + float(np.clip(left[name], -RETURN_STEP, RETURN_STEP)) for name in goal})
-        return all(abs(one) <= RETURN_STEP for one in left.values())
+        place = {name: min(max(wanted[name], limits.low[name]), limits.high[name]) for name in goal}
+        self._arm.send(nearer(goal, place))
+        return all(abs(place[name] - goal[name]) <= RETURN_STEP for name in goal)
