@@ -104,6 +104,15 @@ Port = Annotated[
     int, typer.Option("--port", min=0, max=65535, show_default=False, help="Port on 127.0.0.1. Default: any free one.")
 ]
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")]
+ArmPort = Annotated[
+    str | None, typer.Option("--port", help="Of the arm: /dev/ttyACM0, or virtual for a simulated one.")
+]
+RobotId = Annotated[
+    str | None, typer.Option("--robot-id", help="By which lerobot knows its calibration. Default: follower.")
+]
+RobotConfig = Annotated[
+    Path | None, typer.Option("--robot-config", help="A TOML file with the arm, its cameras and limits.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
 
 QUIET_S = 20.0
@@ -501,9 +510,10 @@ def curate(
     print(done.to_json() if as_json else done)
 
 
-@app.command(short_help="Record demonstrations in simulation.")
+@app.command(short_help="Record demonstrations, in simulation or on an arm.")
 def record(
-    task: Annotated[str, typer.Option("--task", help="A task of simulation: T2, rq3/seen-A, close-microwave.")],
+    context: typer.Context,
+    task: Annotated[str, typer.Option("--task", help="T2, rq3/seen-A, close-microwave; on an arm, any: so100/T5.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the recordings. Default: jiti-TASK.")] = None,
     episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes that are there in the end.")] = 10,
     quality: Annotated[
@@ -521,13 +531,52 @@ def record(
         ),
     ] = Start.jitter,
     workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes. Default: one a core.")] = None,
+    robot: Annotated[
+        Arm | None, typer.Option("--robot", help="Record a person on an arm instead: so100, so101.")
+    ] = None,
+    port: ArmPort = None,
+    robot_id: RobotId = None,
+    robot_config: RobotConfig = None,
+    leader: Annotated[
+        str | None,
+        typer.Option("--leader", metavar="PORT", help="Of an arm to follow, or virtual. Without it: moved by hand."),
+    ] = None,
+    leader_id: Annotated[
+        str | None, typer.Option("--leader-id", help="By which lerobot knows its calibration. Default: leader.")
+    ] = None,
+    seconds: Annotated[float, typer.Option("--seconds", min=0.1, help="Of the longest episode on an arm.")] = 60.0,
     tasks: Tasks = None,
     as_json: Json = False,
 ) -> None:
     """Record scripted demonstrations of mixed quality to MCAP; one that was stopped goes on where it was.
 
+    With --robot a person demonstrates on an arm, with a leader or by hand; see docs/so100.md first.
+
     Example: jiti record --task T2 --episodes 40 --quality 0.5 --out demos
+
+    Example: jiti record --robot so100 --port virtual --leader virtual --task so100/T5 --episodes 4
     """
+    given = {name for name in context.params if str(context.get_parameter_source(name)).endswith("COMMANDLINE")}
+    if given & {"robot", "port", "robot_config"}:
+        if wrong := given & {"cameras", "assets", "start", "workers"}:
+            named = ", ".join(f"--{name}" for name in sorted(wrong))
+            raise UsageError(f"{named}: for simulation; an arm's cameras stand in the file of --robot-config.")
+        _record_on_robot(
+            {"kind": robot and robot.value, "port": port, "id": robot_id, "leader": leader, "leader_id": leader_id},
+            robot_config,
+            tasks,
+            as_json,
+            task=task,
+            episodes=episodes,
+            seconds=seconds,
+            seed=seed,
+            quality=quality if "quality" in given else None,
+            out=out,
+        )
+        return
+    if wrong := given & {"robot_id", "leader", "leader_id", "seconds"}:
+        named = ", ".join(f"--{name.replace('_', '-')}" for name in sorted(wrong))
+        raise UsageError(f"{named}: for an arm; pass --robot so100 and --port too.")
     from jiti.runtime.sim.record import Plan, print_recorded
     from jiti.runtime.sim.record import record as record_all
     from jiti.tasks.catalogue import load_catalogue
@@ -543,6 +592,30 @@ def record(
             print(f"Stopped. What is whole stays in {folder}; the same command goes on there.", file=sys.stderr)
             raise
     print_recorded(recorded, folder, as_json=as_json)
+
+
+def _record_on_robot(
+    flags: dict[str, str | None], config: Path | None, tasks: list[Path] | None, as_json: bool, **asked: Any
+) -> None:
+    """`jiti record --robot`."""
+    from jiti.runtime.robot.demonstrate import RecordRequest, record_robot
+    from jiti.runtime.robot.settings import read_settings
+    from jiti.runtime.robot.stops import Stopped
+    from jiti.tasks.catalogue import load_catalogue
+
+    request = RecordRequest(read_settings(config, **flags), **asked)
+    try:
+        done = record_robot(request, load_catalogue(*tasks or ()), _say)
+    except Stopped as stopped:  # before anything was recorded
+        raise typer.Exit(stopped.exit_code) from None
+    if as_json:
+        print(done.there.to_json())
+    else:
+        done.there.print()
+    if isinstance(done.problem, Stopped):
+        raise typer.Exit(done.problem.exit_code)
+    if done.problem is not None:
+        raise done.problem
 
 
 @app.command(short_help="The whole chain on one task, in minutes.")

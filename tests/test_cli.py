@@ -259,6 +259,21 @@ def test_a_port_in_use_is_refused(run: Run, tmp_path: Path) -> None:
         refused(run("annotate", "--port", str(taken.getsockname()[1])), "--port")
 
 
+def test_recording_on_an_arm_asks_for_what_fits_together(run: Run, tmp_path: Path) -> None:
+    arm = ("record", "--robot", "so100", "--task", "so100/T5")
+    refused(run(*arm), "which port? Pass --port /dev/ttyACM0")
+    for option in (("--cameras", "front"), ("--workers", "2"), ("--assets", "libero"), ("--start", "file")):
+        refused(run(*arm, "--port", "virtual", *option), f"{option[0]}: for simulation")
+    refused(run(*arm, "--port", "/dev/ttyNONE", "--quality", "0.5"), "--quality is for the hand that demonstrates")
+    refused(run(*arm, "--port", "/dev/ttyNONE", "--leader", "virtual"), "pass --port virtual")
+    refused(run(*arm, "--port", "/dev/ttyNONE", "--leader", "/dev/ttyNONE"), "leader and follower are both at")
+    other = run("record", "--robot", "so100", "--port", "virtual", "--task", "so100/T4")
+    refused(other, "no one demonstrates so100/T4 on a virtual arm; the hand there knows: so100/T5")
+    refused(run("record", "--task", "T2", "--leader", "/dev/ttyACM1"), "--leader: for an arm; pass --robot so100")
+    refused(run("record", "--robot", "so100", "--port", "virtual", "--task", "so100/T55"), "did you mean so100/T5")
+    assert not list(tmp_path.glob("jiti-*"))
+
+
 def test_a_task_that_cannot_be_simulated_is_answered_with_those_that_can(run: Run, tmp_path: Path) -> None:
     refused(run("record", "--task", "T9", "--out", "demos"), "no task of simulation is 'T9'", "elegant/T0")
     refused(run("record", "--task", "so100/T0"), "no task of simulation is 'so100/T0'")

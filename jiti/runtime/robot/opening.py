@@ -5,27 +5,32 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from jiti.errors import RobotError
+from jiti.runtime.robot.complaints import ARM, LEADER
 from jiti.runtime.robot.servos import TRIES
 
 if TYPE_CHECKING:
     from lerobot.motors.feetech import FeetechMotorsBus
     from lerobot.robots.so_follower import SOFollower
+    from lerobot.teleoperators.so_leader import SOLeader
 
 PARTS = ("homing_offset", "range_min", "range_max")
 
 
-def check_calibration(robot: "SOFollower") -> None:
+def check_calibration(robot: "SOFollower | SOLeader", who: str = ARM) -> None:
     """Compare the file with the servos' registers; lerobot would ask on standard input which of them counts.
 
     Raises RobotError that names joints and numbers.
     """
     config = robot.config
+    side, kind, flag = ("robot", "so100_follower", "--robot-id")
+    if who == LEADER:
+        side, kind, flag = ("teleop", "so100_leader", "--leader-id")
     again = (
-        f"`lerobot-calibrate --robot.type=so100_follower --robot.port={config.port} --robot.id={robot.id}"
-        f"{f' --robot.calibration_dir={config.calibration_dir}' if config.calibration_dir else ''}`"
+        f"`lerobot-calibrate --{side}.type={kind} --{side}.port={config.port} --{side}.id={robot.id}"
+        f"{f' --{side}.calibration_dir={config.calibration_dir}' if config.calibration_dir else ''}`"
     )
     if not robot.calibration:
-        raise RobotError(f"the arm {robot.id!r} has no calibration at {robot.calibration_fpath}. Make it with {again}.")
+        raise RobotError(f"{who} {robot.id!r} has no calibration at {robot.calibration_fpath}. Make it with {again}.")
     if lacking := [name for name in robot.bus.motors if name not in robot.calibration]:
         raise RobotError(f"{robot.calibration_fpath} has nothing for {', '.join(lacking)}. Make it anew with {again}.")
     differs = [
@@ -37,7 +42,7 @@ def check_calibration(robot: "SOFollower") -> None:
     if differs:
         raise RobotError(
             f"the servos are not calibrated as {robot.calibration_fpath} says: {'; '.join(differs)}. It is another "
-            f"arm's, whose own --robot-id gives its file, or a servo was changed: then calibrate with {again}."
+            f"arm's, whose own {flag} gives its file, or a servo was changed: then calibrate with {again}."
         )
 
 

@@ -80,6 +80,15 @@ class Recording(Watcher):
         if self._error is not None:
             raise self._error
 
+    def discard(self) -> None:
+        """Leave nothing behind."""
+        self._queue.put(None)
+        self._thread.join()
+        if self._shown is not None:
+            self._shown.close()
+        if self._writer is not None:
+            self._writer.discard()
+
     def _write_table(self, path: Path, rows: list[dict[str, Any]]) -> None:
         if rows:
             with replacing(path) as temporary:

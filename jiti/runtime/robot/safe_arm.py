@@ -10,8 +10,8 @@ An arm that is still engaged at the end of `with` is stopped: held where it is w
 go, servo by servo, whatever fails. So does its watchdog when no command comes.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from itertools import cycle
 from pathlib import Path
 from threading import RLock
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from jiti.errors import RobotError
 from jiti.runtime.robot import servos
+from jiti.runtime.robot.complaints import ARM, cable_out, explained, lost, own_words
 from jiti.runtime.robot.limits import GRIPPER, Checked, Joints, limits_of
 from jiti.runtime.robot.opening import check_calibration, check_range, configure
 from jiti.runtime.robot.port_lock import PortLock
@@ -108,7 +109,7 @@ class SafeArm:
             self._close()
 
     def _open(self) -> None:
-        with self._explained("cannot be opened"):
+        with explained(self._bus, ARM, "cannot be opened"):
             self._bus.connect()
             self._bus.port_handler.ser.write_timeout = WRITE_S
             self._lock.exclude()
@@ -146,7 +147,7 @@ class SafeArm:
             self.goal = self._read()
             return
         self._given_up, self._letting_go = "", False
-        with self._line, self._explained("cannot be engaged"):
+        with self._line, explained(self._bus, ARM, "cannot be engaged"):
             check_range(self._bus, self.settings.max_step)
             positions = self._bus.sync_read("Present_Position", normalize=False, num_retry=servos.TRIES)
             self.engaged = True  # what fails from here on is stopped
@@ -285,7 +286,7 @@ class SafeArm:
             try:
                 pictures[name] = camera.read_latest()
             except (RuntimeError, OSError) as error:  # TimeoutError and ConnectionError are OSErrors
-                raise RobotError(f"camera {name!r} gives no picture: {_own_words(error)}. Check its cable.") from error
+                raise RobotError(f"camera {name!r} gives no picture: {own_words(error)}. Check its cable.") from error
         return pictures
 
     def _settle(self) -> None:
@@ -349,38 +350,11 @@ class SafeArm:
             self._given_up += f" {error}"
 
     def _cable_out(self) -> RobotError:
-        return RobotError(f"{self.settings.port} is gone in the middle of work: plug the arm's USB cable in again.")
+        return cable_out(self._bus, ARM)
 
     def _lost(self) -> RobotError:
-        try:
-            with self._line:
-                names = servos.mute(self._bus)
-        except servos.CABLE_OUT:
-            return self._cable_out()
-        if not names:
-            return RobotError(
-                f"the arm's answers were damaged for {self.settings.lost_s:g} s. Use another USB cable and supply."
-            )
-        following = " and those after it" if len(names) > 1 else ""
-        return RobotError(
-            f"{servos.told(self._bus, names)} does not answer. Check the cable that leads to servo "
-            f"{self._bus.motors[names[0]].id}{following}, and the power."
-        )
-
-    @contextmanager
-    def _explained(self, what: str) -> Iterator[None]:
-        """lerobot's errors at the beginning, with what a person is to do."""
-        try:
-            yield
-        except (RuntimeError, *servos.SILENT) as error:
-            remedy = "Check power and cables, and that nothing else uses the port."
-            if "Missing motor IDs" in str(error):
-                silent = servos.mute(self._bus)
-                raise RobotError(
-                    f"{servos.told(self._bus, silent) or 'a servo'} does not answer at {self.settings.port}. Check the "
-                    "power, and the cable that leads to it."
-                ) from error
-            raise RobotError(f"the arm at {self.settings.port} {what}: {_own_words(error)}. {remedy}") from error
+        with self._line:
+            return lost(self._bus, ARM, self.settings.lost_s)
 
 
 def _joined(*told: object) -> str:
@@ -389,8 +363,3 @@ def _joined(*told: object) -> str:
     for part in map(str, told):
         whole = whole if part in whole else part if whole in part else f"{whole} {part}"
     return whole
-
-
-def _own_words(error: BaseException) -> str:
-    """Of lerobot's message, which may go over many lines, the first that says something."""
-    return next((line.strip(" .!") for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -29,6 +29,11 @@ class RobotSettings:
     """By which lerobot finds its calibration."""
     calibration_dir: str = ""
     """Where that is; empty: where `lerobot-calibrate` puts it."""
+    leader: str = ""
+    """Port of an arm that a person moves and this one follows, when demonstrations are recorded; `virtual` where this
+    one is."""
+    leader_id: str = "leader"
+    leader_calibration_dir: str = ""
     fps: int = 30
     """Actions a second. The paper's arms and lerobot's recordings have 30."""
     max_step: float = 5.0

@@ -79,10 +79,12 @@ class Stops:
 
     def look(self) -> bool:
         """Whether the episode is to end; keys are forgotten. Raises Stopped where everything is to."""
+        return NEXT in self.pressed()
+
+    def pressed(self) -> list[str]:
+        """Keys since they were asked for last. Raises like `look`."""
         self._take_keys()
-        ends = NEXT in self._pressed
-        self._pressed.clear()
-        return ends
+        return [self._pressed.popleft() for _ in range(len(self._pressed))]
 
     def key(self) -> str:
         """The next one, which is waited for. Raises Stopped where that is Space, or a signal comes."""

@@ -1,6 +1,7 @@
 """A virtual arm, and lerobot's own driver connected to it."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from time import monotonic, sleep
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 
 from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.virtual import Faults, VirtualArm, registers
+from jiti.runtime.robot.virtual.scenes import EMPTY
 
 
 @pytest.fixture
@@ -61,3 +63,18 @@ def settings(arm: VirtualArm) -> RobotSettings:
 def torque(arm: VirtualArm) -> Callable[[], list[int]]:
     """Of each servo, 1 or 0."""
     return lambda: [memory[registers.TORQUE_ENABLE] for memory in arm.memories().values()]
+
+
+@pytest.fixture
+def leader_arm() -> Iterator[VirtualArm]:
+    """An arm that leads another: nothing is in its reach."""
+    pytest.importorskip("mujoco", reason="pip install 'jiti[robot]'")
+    with VirtualArm(EMPTY) as arm:
+        yield arm
+
+
+@pytest.fixture
+def led_settings(settings: RobotSettings, leader_arm: VirtualArm) -> RobotSettings:
+    """With a leader."""
+    folder = str(leader_arm.calibration_dir)
+    return replace(settings, leader=leader_arm.port, leader_id=leader_arm.id, leader_calibration_dir=folder)

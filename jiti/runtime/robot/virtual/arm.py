@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from jiti.runtime.robot.virtual import registers
 from jiti.runtime.robot.virtual.faults import Faults
+from jiti.runtime.robot.virtual.hand import Path as HandPath
 from jiti.runtime.robot.virtual.painter import CAMERAS
 from jiti.runtime.robot.virtual.pictures import Pictures, by_port
 from jiti.runtime.robot.virtual.process import ArmProcess
@@ -103,6 +104,14 @@ class VirtualArm:
     def reset(self, seed: int) -> None:
         """Put the things where a seed says, as a person would between two episodes; the arm stays as it is."""
         self._process.reset(seed)
+
+    def lead(self, path: HandPath) -> None:
+        """Have a hand move it along a path, and hold it at the end. A servo with torque resists."""
+        self._process.lead(path)
+
+    def led(self) -> bool:
+        """Whether the hand has come to the end of its path."""
+        return self._process.led()
 
     def _calibration(self) -> dict[str, dict[str, int]]:
         return {

@@ -16,6 +16,7 @@ from threading import Lock
 from typing import Any
 
 from jiti.runtime.robot.virtual.faults import Faults
+from jiti.runtime.robot.virtual.hand import Path as HandPath
 from jiti.runtime.robot.virtual.line import Line
 from jiti.runtime.robot.virtual.registers import Memory
 from jiti.runtime.robot.virtual.world import Pose, State, World
@@ -66,6 +67,12 @@ class ArmProcess:
     def reset(self, seed: int) -> None:
         self._ask("reset", seed)
 
+    def lead(self, path: HandPath) -> None:
+        self._ask("lead", path)
+
+    def led(self) -> bool:
+        return self._ask("led")
+
     def set_faults(self, faults: Faults) -> None:
         self._ask("set_faults", faults)
 
@@ -115,6 +122,8 @@ def _serve(pipe: Connection, world: World) -> None:
         "pose": world.pose,
         "memories": lambda: {number: servo.memory for number, servo in world.servos.items()},
         "reset": world.reset,
+        "lead": world.lead,
+        "led": world.led,
         "set_faults": lambda faults: setattr(world, "faults", faults),
     }
     pipe.send((None, None))

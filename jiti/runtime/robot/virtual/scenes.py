@@ -38,6 +38,8 @@ SCENES: Mapping[str, Mapping[str, Spread]] = {
     "so100/T5": {"cabinet": Spread(0.01, 0.05)},
 }
 """By task, what moves from one seed to the next."""
+EMPTY = "empty"
+"""Instead of a task: the arm alone."""
 
 OPEN_M = (0.05, 0.08)
 """How far the drawer stands open at first. Our choice: all of it is within reach."""
@@ -54,7 +56,7 @@ def engine() -> Any:
 
 def load(task_id: str) -> Any:
     """The compiled model of a task's scene. Raises UsageError for a task that has none, or without MuJoCo."""
-    if task_id not in SCENES:
+    if task_id != EMPTY and task_id not in SCENES:
         raise UsageError(f"the virtual arm has no scene for {task_id!r}; {nearest(task_id, SCENES)}")
     return engine().MjModel.from_xml_path(str(FOLDER / f"{task_id.removeprefix('so100/')}.xml"))
 
@@ -65,7 +67,7 @@ def lay_out(task_id: str, model: Any, data: Any, seed: int) -> None:
     One seed always gives the same layout.
     """
     random = np.random.default_rng(seed)
-    for name, spread in SCENES[task_id].items():
+    for name, spread in SCENES.get(task_id, {}).items():
         dx, dy = random.uniform(-spread.within_m, spread.within_m, 2)
         yaw = random.uniform(-spread.within_rad, spread.within_rad)
         body = model.body(name)

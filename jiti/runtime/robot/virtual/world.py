@@ -11,6 +11,7 @@ from threading import RLock
 import numpy as np
 
 from jiti.runtime.robot.virtual.faults import Faults
+from jiti.runtime.robot.virtual.hand import Hand, Path
 from jiti.runtime.robot.virtual.scenes import SCENES, engine, lay_out, load
 from jiti.runtime.robot.virtual.servo import DRAG, Servo
 
@@ -84,12 +85,23 @@ class World:
         for servo, place in zip(self.servos.values(), self._qpos, strict=True):
             servo.power_up(self.data.qpos[place])
         self._until: float | None = None
+        self._hand: Hand | None = None
 
     def reset(self, seed: int) -> None:
         """Lay the things out anew; the arm stays as it is."""
         with self.lock:
             lay_out(self.task_id, self.model, self.data, seed)
             self._mujoco.mj_forward(self.model, self.data)
+
+    def lead(self, path: Path) -> None:
+        """Have a hand move the arm along a path from now on, and hold it at the end."""
+        with self.lock:
+            self._hand = Hand(path, self.data.time)
+
+    def led(self) -> bool:
+        """Whether a hand has come to the end of its path."""
+        with self.lock:
+            return self._hand is not None and self._hand.at_end(self.data.time)
 
     def step(self, times: int = 1) -> None:
         """Let CONTROL_S pass, once or more."""
@@ -113,7 +125,7 @@ class World:
     def state(self) -> State:
         with self.lock:
             angles = dict(zip(MOUNTS, self.data.qpos[self._qpos].tolist(), strict=True))
-            objects = {name: self._pose(name) for name in SCENES[self.task_id]}
+            objects = {name: self._pose(name) for name in SCENES.get(self.task_id, {})}
             slides = [k for k in range(self.model.njnt) if self.model.jnt_type[k] == self._mujoco.mjtJoint.mjJNT_SLIDE]
             drawers = {self.model.joint(k).name: float(self.data.joint(k).qpos[0]) for k in slides}
             return State(self.data.time, angles, objects, drawers)
@@ -137,6 +149,9 @@ class World:
             model.actuator_biasprm[k, 1:3] = -drive.stiffness, -drive.damping
             model.actuator_forcerange[k] = -drive.limit_nm, drive.limit_nm
             model.dof_damping[self._dof[k]] = JAMMED if number in self.faults.jam else DRAG
+        if self._hand is not None:
+            torques = self._hand.torques(data.qpos[self._qpos], data.qvel[self._dof], data.time)
+            data.qfrc_applied[self._dof] = torques
 
     def _measure(self) -> None:
         angles, speeds = self.data.qpos[self._qpos].tolist(), self.data.qvel[self._dof].tolist()

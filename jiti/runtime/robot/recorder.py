@@ -1,0 +1,122 @@
+"""Demonstrations on an arm, one after another: wait for a person, record, and record anew what is not liked."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+
+from jiti.runtime.robot.demonstrations import delete
+from jiti.runtime.robot.keys import Keys
+from jiti.runtime.robot.loop import prompt
+from jiti.runtime.robot.recording import Recording
+from jiti.runtime.robot.safe_arm import SafeArm
+from jiti.runtime.robot.scripted import Scripted
+from jiti.runtime.robot.take import AGAIN, Take
+from jiti.runtime.robot.teller import Say
+from jiti.runtime.robot.ways import Way
+
+LOOK_S = 0.03
+"""How often keys are looked at while nothing is recorded."""
+
+
+@dataclass
+class Recorder:
+    """Of an open arm."""
+
+    arm: SafeArm
+    way: Way
+    keys: Keys
+    hand: Scripted | None
+    """Who demonstrates, where it is no person."""
+    lay_out: Callable[[int], None]
+    """Puts things where a seed says; does nothing where a person does that."""
+    say: Say
+    path: Callable[[int], Path]
+    """Of a seed's recording."""
+    open: Callable[[int, str], Recording]
+    """For a seed, and the manner in which the hand demonstrates; empty for a person."""
+
+    def record(self, seeds: Sequence[int], seconds: float) -> Exception | None:
+        """What ended it before the last: Stopped, or an error. What was recorded until then is kept."""
+        done, redoable = 0, False
+        try:
+            while seeds:
+                if self._is_to_be_anew(seeds, done, redoable=redoable):
+                    done, redoable = done - 1, False  # one at a time: a key may be held down
+                    delete(self.path(seeds[done]))
+                    self.say(f"{self.path(seeds[done]).name} is deleted.")
+                elif done == len(seeds):
+                    break
+                else:
+                    redoable = self._one(seeds[done], seconds)
+                    done += redoable
+        except Exception as problem:
+            return problem
+        return None
+
+    def _is_to_be_anew(self, seeds: Sequence[int], done: int, *, redoable: bool) -> bool:
+        """Wait for Enter; whether the episode before is to be recorded anew instead."""
+        if done < len(seeds):
+            self.lay_out(seeds[done])
+        if not self.keys.keys:
+            return False
+        asked = f"{self.path(seeds[done]).name}: Enter begins" if done < len(seeds) else "All are there: Enter ends"
+        anew = f", r records {self.path(seeds[done - 1]).name} anew" if redoable else ""
+        self.say(f"{asked}{anew}, Space ends everything.")
+        while not self.keys.look():
+            if self.keys.again() and redoable:
+                return True
+            sleep(LOOK_S)
+        return False
+
+    def _one(self, seed: int, seconds: float) -> bool:
+        """Whether it was recorded, and not given up to be recorded anew. Raises what stopped it, when it is saved."""
+        with self.keys.guarded():
+            recording = self.open(seed, self.hand.plan(seed) if self.hand else "")
+            take = Take(self.arm, self.way, self.keys, recording, self.hand.over if self.hand else lambda: False)
+            ended, problem = self._take(take, seconds)
+            try:
+                if take.read == 0 or ended == AGAIN:
+                    recording.discard()
+                else:
+                    self.way.finish(recording)
+                    recording.finish(ended or str(problem))
+                    self._tell(recording, ended or str(problem))
+            except Exception as error:
+                problem = problem or error
+            if problem is not None:
+                raise problem
+        if self.hand is not None:
+            self.hand.wait(self.keys)
+        return ended != AGAIN
+
+    def _take(self, take: Take, seconds: float) -> tuple[str, Exception | None]:
+        """What ended it, and what stopped it or kept the arm from going back; the arm is at rest in any case."""
+        ended = ""
+        try:
+            with prompt():
+                try:
+                    self.way.begin(self.keys)
+                    if self.hand is not None:
+                        self.hand.begin()
+                    self.say("Recording: Enter ends it, r records it anew, Space stops everything at once.")
+                    ended = take.run(seconds)
+                    if self.hand is not None:
+                        self.hand.go_home()
+                    self.way.end(self.keys)
+                except BaseException as error:
+                    self.arm.stop(error)
+                    raise
+        except Exception as error:
+            return ended, error
+        return ended, None
+
+    def _tell(self, recording: Recording, told: str) -> None:
+        ticks = recording.ticks
+        lasted_s = (ticks[-1]["time_ns"] - ticks[0]["time_ns"]) / 1e9
+        periods_ms = np.diff([tick["time_ns"] for tick in ticks]) / 1e6
+        rate = f"a step took {np.median(periods_ms):.1f} ms, {periods_ms.max():.0f} at most" if len(ticks) > 1 else ""
+        name = recording.path.name if recording.path else ""
+        self.say(f"{name}: {lasted_s:.1f} s, {len(ticks)} steps, ended: {told}; {rate}.")
