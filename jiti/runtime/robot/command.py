@@ -1,7 +1,7 @@
 """`jiti rollout --robot`, whole: from what a user asked for to what is printed."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ from jiti.runtime.robot.request import (
     task_of,
     turns_of,
 )
-from jiti.runtime.robot.run import AfterEpisode, Runner
+from jiti.runtime.robot.run import AfterEpisode, BeforeEpisode, MakeRecording, Runner
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
 from jiti.runtime.robot.stops import NEXT, Stopped, Stops
@@ -154,31 +154,14 @@ def _run(
         viewer = Viewer(say) if request.live else None
         if viewer is not None:
             stack.callback(viewer.close)
-        blind = request.judge and request.blind
-
-        def recording(turn: Turn) -> Recording:
-            about = {"task": task.task_id, "robot": request.settings.kind, "seed": str(turn.seed)}
-            about |= {} if blind else {"guidance": turn.label}
-            names = tuple(arm.robot.cameras)
-            shown = None
-            if viewer is not None:
-                make_folder(turn.path.parent)
-                path = turn.path.with_suffix(SHOWN_SUFFIX)
-                shown = LiveArm(path, viewer.address, arm.joints, names, turn.guidance.tau, blind=blind)
-            kept = turn.path if request.record else None
-            return Recording(kept, arm.joints, names, instruction=task.instruction, about=about, shown=shown)
-
-        def before(turn: Turn) -> None:
-            if virtual is not None:
-                virtual.reset(turn.seed)
-            if evaluation is not None:
-                evaluation.before(turn)
-            elif stops.keys and turn is not turns[0]:
-                panel.ask(Shown("ready", "Lay the things out.", "Keep clear of the arm.", keys={NEXT: "begin"}))
-            title = evaluation.title(turn.number) if evaluation else f"Episode {turns.index(turn) + 1} of {len(turns)}"
-            panel.tell(Shown("running", _keys(stops), title=title, keys={NEXT: "end the episode"}))
-
-        runner = Runner(arm, inference, stops, recording, before, after_episode)
+        runner = Runner(
+            arm,
+            inference,
+            stops,
+            _recordings(request, task, arm, viewer),
+            _before(turns, stops, panel, virtual, evaluation),
+            after_episode,
+        )
         if request.dry_run:
             runner.watchers = (Told(say, arm.joints),)
         panel.tell(Shown("opening", "Loading policy and critic; the arm has no torque."))
@@ -204,6 +187,44 @@ def _run(
                 viewer.wait()
 
 
+def _recordings(request: RobotRequest, task: Task, arm: SafeArm, viewer: Viewer | None) -> MakeRecording:
+    """What makes the recording of a turn. Where a person is not to know the guidance, it does not tell."""
+    blind = request.judge and request.blind
+    cameras = tuple(arm.robot.cameras)
+
+    def make(turn: Turn) -> Recording:
+        about = {"task": task.task_id, "robot": request.settings.kind, "seed": str(turn.seed)}
+        about |= {} if blind else {"guidance": turn.label}
+        shown = None
+        if viewer is not None:
+            make_folder(turn.path.parent)
+            path = turn.path.with_suffix(SHOWN_SUFFIX)
+            shown = LiveArm(path, viewer.address, arm.joints, cameras, turn.guidance.tau, blind=blind)
+        path = turn.path if request.record else None
+        return Recording(path, arm.joints, cameras, instruction=task.instruction, about=about, shown=shown)
+
+    return make
+
+
+def _before(
+    turns: Sequence[Turn], stops: Stops, panel: Panel, virtual: VirtualArm | None, evaluation: Evaluation | None
+) -> BeforeEpisode:
+    """What is done before a turn: the things are laid out, by a person or on a virtual table. Without a terminal no one
+    is waited for, unless someone is to judge."""
+
+    def before(turn: Turn) -> None:
+        if virtual is not None:
+            virtual.reset(turn.seed)
+        title = evaluation.title(turn.number) if evaluation else f"Episode {turns.index(turn) + 1} of {len(turns)}"
+        if evaluation is not None:
+            evaluation.before(turn)
+        elif stops.keys and turn is not turns[0]:
+            panel.ask(Shown("ready", "Lay the things out.", "Keep clear of the arm.", title, {NEXT: "begin"}))
+        panel.tell(Shown("running", _keys(stops), title=title, keys={NEXT: "end the episode"}))
+
+    return before
+
+
 def _keys(stops: Stops) -> str:
     if stops.keys:
         return "Space stops the arm at once, Enter ends an episode."
@@ -211,6 +232,7 @@ def _keys(stops: Stops) -> str:
 
 
 def _virtual(request: RobotRequest, task: Task, stack: ExitStack) -> tuple[VirtualArm | None, RobotSettings]:
+    """The virtual arm that was asked for, and how the arm is reached."""
     settings = request.settings
     if settings.port != VIRTUAL:
         return None, settings

@@ -48,7 +48,7 @@ class Leader:
             raise RobotError(f"the leader: {error}") from error
         try:
             with explained(self._bus, LEADER, "cannot be opened"):
-                self._bus.connect()
+                servos.connect(self._bus)
                 self._lock.exclude()
                 check_calibration(self._leader, LEADER)
                 self._leader.configure()  # which takes the torque from it

@@ -110,7 +110,7 @@ class SafeArm:
 
     def _open(self) -> None:
         with explained(self._bus, ARM, "cannot be opened"):
-            self._bus.connect()
+            servos.connect(self._bus)
             self._bus.port_handler.ser.write_timeout = WRITE_S
             self._lock.exclude()
             check_calibration(self.robot)

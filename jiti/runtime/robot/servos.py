@@ -17,6 +17,21 @@ CABLE_OUT = (termios.error, OSError)
 SILENT = (ConnectionError, *CABLE_OUT)
 TRIES = 5
 """lerobot's, to turn the torque off."""
+FINDS = 3
+"""Times that servos are looked for. Our choice: a ping that was lost is no servo that is missing."""
+
+
+def connect(bus: "FeetechMotorsBus") -> None:
+    """Open the port and find all servos. Raises what lerobot's `connect` does, which looks once."""
+    for left in reversed(range(FINDS)):
+        try:
+            bus.connect()
+        except RuntimeError:
+            if not left:
+                raise
+            bus.port_handler.closePort()
+        else:
+            return
 
 
 def settle(bus: "FeetechMotorsBus") -> None:

@@ -1,11 +1,14 @@
-"""From a demonstration on the virtual arm to a policy that does the task there, with jiti's own commands alone."""
+"""From demonstrations on the virtual arm, labelled by keys in the annotator, to a policy that does the task there, which
+is judged by keys: with jiti's own commands alone."""
 
 import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
+from jiti.annotate.labels import read_segments
 from jiti.policies import recipe_path
 from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.virtual import VirtualArm
@@ -14,7 +17,7 @@ from tests.builders.robot_record import at_terminal, jiti
 
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
-pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.browser, pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(1200)]
 DEMONSTRATIONS, STEPS, CHUNK = 6, 2000, 30
 FEATURES = """
 [features."observation.state"]
@@ -33,7 +36,18 @@ def run(folder: Path, *command: str) -> str:
     return done.stdout + done.stderr
 
 
-def test_a_policy_learns_from_demonstrations_to_close_the_drawer(tmp_path):
+def annotate(serve, screen, folder: Path) -> list[tuple[str, int]]:
+    """Mark the end of two demonstrations by keys; what is kept of it."""
+    page = screen(serve("annotate", "demos", folder=folder).url).ready()
+    for verdict, go in (("p", "n"), ("f", "n")):
+        page.press("End", "w").wait(segments=1, version=1).press(verdict).wait(version=2).press(go)
+        page.wait(segments=0, version=0)
+    assert not page.errors
+    rows = read_segments(folder / "demos" / "labels").to_pylist()
+    return [(row["episode_id"], row["reward"]) for row in rows if row["source"] == "human"]
+
+
+def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, tmp_path):
     """It sees its joints alone, not the drawer: of six such rollouts four shut it, and all pushed it at least 2 cm."""
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
@@ -45,6 +59,7 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(tmp_path):
         keyboard.press("\n", f"{DEMONSTRATIONS} of {DEMONSTRATIONS} episodes")
         assert keyboard.program.wait(60) == 0
     assert f"{DEMONSTRATIONS} proposals" in run(tmp_path, *jiti("autolabel", "demos", "--from", "signal"))
+    assert annotate(serve, screen, tmp_path) == [("so100-T5_0000", 1), ("so100-T5_0001", 0)]
     (tmp_path / "features.toml").write_text(FEATURES)
     options = ["--unlabelled", "keep", "--features", "features.toml", "--fps", "30"]
     assert f"{DEMONSTRATIONS} episodes" in run(tmp_path, *jiti("curate", "demos", "--out", "dataset", *options))
@@ -60,7 +75,17 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(tmp_path):
         robot_record.write_settings(config, RobotSettings(port=arm.port, id=arm.id, calibration_dir=folder, lost_s=1.0))
         before = arm.state().drawers["top_drawer"]
         options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "12", "--out", "rollouts"]
-        run(tmp_path, *jiti("rollout", "--robot-config", str(config), "--task", "so100/T5", *options))
+        asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", "1", *options]
+        with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
+            keyboard.wait_for("[Enter] begin", seconds=120)
+            keyboard.press("\n", "Did it succeed?", 120)
+            keyboard.press("y", "The drawer must be closed smoothly")
+            keyboard.press("n", "Judged by a person, 95% intervals by Wilson")
+            assert keyboard.program.wait(60) == 0
         after = arm.state().drawers["top_drawer"]
     assert before > 0.07
     assert after < before - 0.01, "metres that it stands open"
+    (row,) = pq.read_table(tmp_path / "rollouts" / "evaluation.parquet").to_pylist()
+    assert (row["guidance"], row["success"], dict(row["itcs"])) == ("none", True, {"so100/T5/shut-smoothly": False})
+    (label,) = read_segments(tmp_path / "rollouts" / "judged" / "labels").to_pylist()
+    assert (label["source"], label["reward"]) == ("human", 0)
