@@ -1,5 +1,5 @@
-"""From demonstrations on the virtual arm, labelled by keys in the annotator, to a policy that does the task there, which
-is judged by keys: with jiti's own commands alone."""
+"""From demonstrations on the virtual arm, labelled by keys in the annotator, to a policy that does the task there, and
+to keys that judge it: with jiti's own commands alone."""
 
 import subprocess
 import sys
