@@ -52,10 +52,10 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
     with at_terminal(command, tmp_path / "said.txt") as keyboard:
-        keyboard.wait_for("so100-T5_0000.mcap: Enter begins")
+        keyboard.wait_for("[Enter] begin")
         for number in range(1, DEMONSTRATIONS):
-            keyboard.press("\n", f"so100-T5_{number:04d}.mcap: Enter begins", 120)
-        keyboard.press("\n", "All are there: Enter ends", 120)
+            keyboard.press("\n", f"[Enter] begin  [r] record so100-T5_{number - 1:04d}.mcap anew", 120)
+        keyboard.press("\n", "[Enter] end", 120)
         keyboard.press("\n", f"{DEMONSTRATIONS} of {DEMONSTRATIONS} episodes")
         assert keyboard.program.wait(60) == 0
     assert f"{DEMONSTRATIONS} proposals" in run(tmp_path, *jiti("autolabel", "demos", "--from", "signal"))
@@ -80,7 +80,8 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
             keyboard.wait_for("[Enter] begin", seconds=120)
             keyboard.press("\n", "Did it succeed?", 120)
             keyboard.press("y", "The drawer must be closed smoothly")
-            keyboard.press("n", "Judged by a person, 95% intervals by Wilson")
+            keyboard.press("n", "[Enter] tell")
+            keyboard.press("\n", "Judged by a person, 95% intervals by Wilson")
             assert keyboard.program.wait(60) == 0
         after = arm.state().drawers["top_drawer"]
     assert before > 0.07

@@ -66,5 +66,20 @@ def test_space_stops_whatever_has_the_focus(page: Page, stops: Stops, screen):
 
     seen.until(stopped)
     assert seen.page.evaluate("document.documentElement.dataset.theme") == "light", "Space pressed no button"
+
+
+def test_the_button_stops_it_too(page: Page, stops: Stops, screen):
+    page.show(Shown("running", "Space stops the arm at once.", keys={NEXT: "end the episode"}))
+    seen = screen(page.url).wait(phase="running")
+    assert not stops.look()
     seen.page.get_by_role("button", name="Stop the arm").click()
-    seen.until(stopped)
+    with pytest.raises(Stopped):
+        seen.until(stops.look)
+
+
+def test_a_recording_that_cannot_be_shown_does_not_freeze_the_page(page: Page, screen, tmp_path: Path):
+    page.show(Shown("asking", "Did it succeed?", keys={"y": "yes"}, recording=tmp_path / "gone.mcap"))
+    seen = screen(page.url).wait(phase="asking")
+    page.show(Shown("running", "It moves.", keys={NEXT: "end the episode"}))
+    seen.wait(phase="running")
+    assert not seen.errors

@@ -31,7 +31,9 @@ def main(port: str, robot: str, calibration_dir: str, out: str, *more: str) -> i
         print(error, flush=True)
         return 1
     ran.print()
-    return ran.problem.exit_code if isinstance(ran.problem, Stopped) else 1
+    if isinstance(ran.problem, Stopped):
+        return ran.problem.exit_code
+    return 1 if ran.problem else 0
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from jiti.annotate.names import default_annotator
 from jiti.durable import make_folder
-from jiti.errors import RobotError, UsageError
+from jiti.errors import JitiError, RobotError, UsageError
 from jiti.runtime.robot.evaluation.evaluation import Evaluation
 from jiti.runtime.robot.evaluation.judged import open_kept
 from jiti.runtime.robot.evaluation.report import EvaluationReport
@@ -131,13 +131,13 @@ def _run(
         page = stack.enter_context(Page(stops.press))
         say(f"Open {page.url}")
         panel = Panel(stops, say, page.show)
-        evaluation = None
+        evaluation, keep_episode = None, lambda _recorded: None
         if request.judge:
             kept = open_kept(folder, shared_of(request, task, guidances), len(guidances) * layouts_of(request))
             by_label = {label_of(guidance): guidance for guidance in guidances}
-            evaluation = Evaluation(kept, task, by_label, layouts_of(request), default_annotator(), panel)
+            evaluation = Evaluation(kept, task, by_label, default_annotator(), panel, blind=request.blind)
             evaluation.judge_waiting()
-            turns, after_episode = evaluation.turns(), evaluation.after
+            turns, keep_episode, after_episode = evaluation.turns(), evaluation.keep, evaluation.after
 
         def told(report: RobotReport, problem: Exception | None) -> Ran:
             judged = EvaluationReport(evaluation.kept, request.blind) if evaluation else None
@@ -149,7 +149,9 @@ def _run(
             return
         inference = stack.enter_context(Inference(brain, make_agent))
         virtual, settings = _virtual(request, task, stack)
-        arm = SafeArm(settings, dry=request.dry_run, say=say, cameras=cameras or (virtual and virtual.cameras()))
+        arm = SafeArm(
+            settings, dry=request.dry_run, say=panel.remark, cameras=cameras or (virtual and virtual.cameras())
+        )
         stack.enter_context(arm)
         viewer = Viewer(say) if request.live else None
         if viewer is not None:
@@ -160,6 +162,7 @@ def _run(
             stops,
             _recordings(request, task, arm, viewer),
             _before(turns, stops, panel, virtual, evaluation),
+            keep_episode,
             after_episode,
         )
         if request.dry_run:
@@ -169,7 +172,13 @@ def _run(
         if request.dry_run:
             say("Dry run: nothing is sent.")
         done, problem = runner.play(facts, turns, request.seconds)
-        page.show(Shown("over", f"It is over{f': {problem}' if problem else ''}. The arm has no torque."))
+        try:
+            if evaluation is not None and problem is None:
+                evaluation.finish()
+        except Stopped as stopped:
+            problem = stopped
+        at_rest = "" if arm.engaged else " The arm has no torque."
+        page.show(Shown("over", f"{f'It ended: {problem}' if problem else 'It is over.'}{at_rest}"))
         report = replace(
             report,
             taken=report.taken | {"execute": facts.execute},
@@ -178,9 +187,12 @@ def _run(
             overloads=arm.overloads,
         )
         if request.calibrate_tau is not None and problem is None:
-            found = measure_tau([turn.path for turn in turns], request.calibrate_tau, asked_of(request, task))
-            say(f"{found}. Kept in {save_tau(folder, found)}, for this policy and critic on this task.")
-            report = replace(report, taken=report.taken | {"tau": found.tau})
+            try:
+                found = measure_tau([turn.path for turn in turns], request.calibrate_tau, asked_of(request, task))
+                say(f"{found}. Kept in {save_tau(folder, found)}, for this policy and critic on this task.")
+                report = replace(report, taken=report.taken | {"tau": found.tau})
+            except JitiError as error:
+                problem = error
         ended(told(report, problem))
         if viewer is not None and problem is None:
             with suppress(Stopped):

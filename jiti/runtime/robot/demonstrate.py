@@ -11,16 +11,16 @@ from jiti.errors import RobotError, UsageError
 from jiti.runtime.robot.by_hand import ByHand
 from jiti.runtime.robot.demonstrations import Demonstrations, path_of, read
 from jiti.runtime.robot.following import Following
-from jiti.runtime.robot.keys import AGAIN, Keys
+from jiti.runtime.robot.keys import Keys
 from jiti.runtime.robot.leader import Leader
 from jiti.runtime.robot.page import Page
-from jiti.runtime.robot.panel import Shown
+from jiti.runtime.robot.panel import Panel, Shown
 from jiti.runtime.robot.recorder import Recorder
 from jiti.runtime.robot.recording import TICKS, Recording
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.scripted import Scripted
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
-from jiti.runtime.robot.stops import NEXT, Stopped
+from jiti.runtime.robot.stops import Stopped
 from jiti.runtime.robot.teller import Say, Teller
 from jiti.runtime.robot.virtual import VirtualArm
 from jiti.runtime.robot.virtual.demonstrator import check_script
@@ -111,19 +111,15 @@ def _record(
     with ExitStack() as stack:
         keys = stack.enter_context(Keys())
         page = stack.enter_context(Page(keys.press))
-        say(f"Open {page.url}")
-
-        def told(said: str) -> None:
-            say(said)
-            page.show(Shown("running", said, keys={NEXT: "begin or end", AGAIN[0]: "record anew"}))
-
-        tell = Teller(told)
+        tell = Teller(say)
         stack.callback(tell.close)
+        tell(f"Open {page.url}")
+        panel = Panel(keys, tell, page.show)
         settings, scene, hand = _virtual(request, settings, task, stack)
         leader = stack.enter_context(Leader(settings)) if settings.leader else None
         if scene is not None and cameras is None:
             cameras = scene.cameras()
-        arm = stack.enter_context(SafeArm(settings, say=say, cameras=cameras))
+        arm = stack.enter_context(SafeArm(settings, say=panel.remark, cameras=cameras))
         way = Following(arm, leader) if leader else ByHand(arm)
 
         def opened(seed: int, manner: str) -> Recording:
@@ -132,10 +128,12 @@ def _record(
             return Recording(paths[seed], arm.joints, names, instruction=task.instruction, about=own)
 
         if leader is None:
-            tell("The arm has no torque: move it by hand.")
+            panel.remark("The arm has no torque: move it by hand.")
         lay_out = scene.reset if scene else lambda _seed: None
-        recorder = Recorder(arm, way, keys, hand, lay_out, tell, paths.__getitem__, opened)
-        return recorder.record(list(paths), request.seconds), arm.misread
+        recorder = Recorder(arm, way, keys, hand, lay_out, panel, paths.__getitem__, opened)
+        problem = recorder.record(list(paths), request.seconds)
+        page.show(Shown("over", f"It ended: {problem}" if problem else "It is over."))
+        return problem, arm.misread
 
 
 def _virtual(

@@ -42,7 +42,7 @@ def read(path: Path, about: Mapping[str, str], *, kept: bool) -> Demonstration |
     found = recorded_metadata(path)
     other = [f"{key} {found.get(key)!r} and not {value!r}" for key, value in about.items() if found.get(key) != value]
     if "ended" not in found or "how" not in found or other:
-        what = f"was recorded with {', '.join(other)}" if other else "is another recording"
+        what = f"was recorded with {', '.join(other)}" if other and "how" in found else "is no demonstration of an arm"
         raise UsageError(
             f"{path} {what}, and recordings are not replaced. Choose another folder with --out, or move that file away."
         )

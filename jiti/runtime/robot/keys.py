@@ -2,19 +2,23 @@
 
 from jiti.runtime.robot.stops import Stops
 
-AGAIN = ("r", "R", "\x7f", "\b")
+ANEW = "r"
+_SAME = ("R", "\x7f", "\b")
 """Backspace is one of two characters, by the terminal."""
 
 
 class Keys(Stops):
-    _again = False
+    _anew = False
 
-    def again(self) -> bool:
-        """Whether an episode was to be recorded anew since this was asked last; `look` reads the keys."""
-        asked, self._again = self._again, False
-        return asked
+    def press(self, key: str) -> None:
+        super().press(ANEW if key in _SAME else key)
 
     def pressed(self) -> list[str]:
         pressed = super().pressed()
-        self._again = self._again or any(key in pressed for key in AGAIN)
+        self._anew = self._anew or ANEW in pressed
         return pressed
+
+    def anew(self) -> bool:
+        """Whether an episode was to be recorded anew since this was asked last; `look` reads the keys."""
+        asked, self._anew = self._anew, False
+        return asked

@@ -50,8 +50,8 @@ class Leader:
             with explained(self._bus, LEADER, "cannot be opened"):
                 servos.connect(self._bus)
                 self._lock.exclude()
-                check_calibration(self._leader, LEADER)
-                self._leader.configure()  # which takes the torque from it
+                servos.tried(self._bus, lambda: check_calibration(self._leader, LEADER))
+                servos.tried(self._bus, self._leader.configure)  # which takes the torque from it
         except BaseException:
             self._close()
             raise

@@ -145,6 +145,6 @@ def _by_joint(action: np.ndarray, joints: tuple[str, ...]) -> dict[str, float]:
 def _check_stalled(inference: Inference, stall_s: float) -> None:
     if inference.asked_s is not None and perf_counter() - inference.asked_s > stall_s:
         raise RobotError(
-            f"policy and critic have not decided anything for {stall_s:g} s. Use --guidance none or --device cuda, or "
+            f"policy and critic have not decided anything for {stall_s:g} s. Use --device cuda or a smaller policy, or "
             "raise `stall_s` in the file of --robot-config."
         )

@@ -1,7 +1,7 @@
 """What a person at an arm is told and asked, in the terminal and on the page at once; the first key counts."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -32,16 +32,22 @@ class Panel:
 
     def __init__(self, stops: Stops, say: Say, show: Callable[[Shown], None]) -> None:
         self._stops, self._say, self._show = stops, say, show
+        self._now = Shown("opening", "")
 
     def tell(self, shown: Shown) -> None:
-        """On the page; in the terminal where it is news."""
+        self._now = shown
         self._show(shown)
         self._say(shown.text)
 
+    def remark(self, text: str) -> None:
+        """In the midst of what is going on; from any thread."""
+        self.tell(replace(self._now, text=text))
+
     def ask(self, shown: Shown) -> str:
         """The first of the keys that is pressed once it is shown. Raises Stopped."""
-        self._stops.look()
+        self._now = shown
         self._show(shown)
+        self._stops.look()  # what was pressed at the question before
         self._say("\n".join(line for line in (shown.title, shown.text, shown.detail, keys_text(shown.keys)) if line))
         while (key := self._stops.key()) not in shown.keys:
             pass

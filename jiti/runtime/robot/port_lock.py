@@ -21,9 +21,7 @@ class PortLock:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self.release()
-            raise RobotError(
-                f"another program drives the arm at {port}. End it first, or pass another --port."
-            ) from None
+            raise RobotError(f"another program drives the arm at {port}. End it first, or pass another port.") from None
 
     def exclude(self) -> None:
         """Keep out programs that ask for no lock, from now on; the arm's own driver has the port open by then."""
@@ -44,4 +42,4 @@ def _why(port: str, error: OSError) -> str:
         return (
             f"{port} may not be opened: add yourself to its group (`sudo usermod -aG dialout $USER`), and log in again."
         )
-    return f"{port} cannot be opened: {error.strerror}. End other programs that use the arm, or pass another --port."
+    return f"{port} cannot be opened: {error.strerror}. End other programs that use the arm, or pass another port."

@@ -3,22 +3,19 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import sleep
 
 import numpy as np
 
 from jiti.runtime.robot.demonstrations import delete
-from jiti.runtime.robot.keys import Keys
+from jiti.runtime.robot.keys import ANEW, Keys
 from jiti.runtime.robot.loop import prompt
+from jiti.runtime.robot.panel import Panel, Shown
 from jiti.runtime.robot.recording import Recording
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.scripted import Scripted
-from jiti.runtime.robot.take import AGAIN, Take
-from jiti.runtime.robot.teller import Say
+from jiti.runtime.robot.stops import NEXT
+from jiti.runtime.robot.take import GIVEN_UP, Take
 from jiti.runtime.robot.ways import Way
-
-LOOK_S = 0.03
-"""How often keys are looked at while nothing is recorded."""
 
 
 @dataclass
@@ -32,7 +29,7 @@ class Recorder:
     """Who demonstrates, where it is no person."""
     lay_out: Callable[[int], None]
     """Puts things where a seed says; does nothing where a person does that."""
-    say: Say
+    panel: Panel
     path: Callable[[int], Path]
     """Of a seed's recording."""
     open: Callable[[int, str], Recording]
@@ -46,7 +43,7 @@ class Recorder:
                 if self._is_to_be_anew(seeds, done, redoable=redoable):
                     done, redoable = done - 1, False  # one at a time: a key may be held down
                     delete(self.path(seeds[done]))
-                    self.say(f"{self.path(seeds[done]).name} is deleted.")
+                    self.panel.remark(f"{self.path(seeds[done]).name} is deleted.")
                 elif done == len(seeds):
                     break
                 else:
@@ -62,23 +59,22 @@ class Recorder:
             self.lay_out(seeds[done])
         if not self.keys.keys:
             return False
-        asked = f"{self.path(seeds[done]).name}: Enter begins" if done < len(seeds) else "All are there: Enter ends"
-        anew = f", r records {self.path(seeds[done - 1]).name} anew" if redoable else ""
-        self.say(f"{asked}{anew}, Space ends everything.")
-        while not self.keys.look():
-            if self.keys.again() and redoable:
-                return True
-            sleep(LOOK_S)
-        return False
+        left = done < len(seeds)
+        text = f"{self.path(seeds[done]).name} is next." if left else "All are there."
+        keys = {NEXT: "begin" if left else "end"}
+        keys |= {ANEW: f"record {self.path(seeds[done - 1]).name} anew"} if redoable else {}
+        return self.panel.ask(Shown("ready", text, "Lay the things out.", keys=keys)) == ANEW
 
     def _one(self, seed: int, seconds: float) -> bool:
-        """Whether it was recorded, and not given up to be recorded anew. Raises what stopped it, when it is saved."""
+        """Whether there is a recording: not where it was given up, or nothing could be read. Raises what stopped it,
+        when it is saved."""
         with self.keys.guarded():
             recording = self.open(seed, self.hand.plan(seed) if self.hand else "")
             take = Take(self.arm, self.way, self.keys, recording, self.hand.over if self.hand else lambda: False)
             ended, problem = self._take(take, seconds)
+            kept = take.read > 0 and ended != GIVEN_UP
             try:
-                if take.read == 0 or ended == AGAIN:
+                if not kept:
                     recording.discard()
                 else:
                     self.way.finish(recording)
@@ -90,7 +86,7 @@ class Recorder:
                 raise problem
         if self.hand is not None:
             self.hand.wait(self.keys)
-        return ended != AGAIN
+        return kept
 
     def _take(self, take: Take, seconds: float) -> tuple[str, Exception | None]:
         """What ended it, and what stopped it or kept the arm from going back; the arm is at rest in any case."""
@@ -98,10 +94,12 @@ class Recorder:
         try:
             with prompt():
                 try:
+                    self.panel.tell(Shown("running", "Getting ready."))
                     self.way.begin(self.keys)
                     if self.hand is not None:
                         self.hand.begin()
-                    self.say("Recording: Enter ends it, r records it anew, Space stops everything at once.")
+                    told = "Recording: Enter ends it, r records it anew, Space stops everything at once."
+                    self.panel.tell(Shown("running", told, keys={NEXT: "end it", ANEW: "record it anew"}))
                     ended = take.run(seconds)
                     if self.hand is not None:
                         self.hand.go_home()
@@ -119,4 +117,4 @@ class Recorder:
         periods_ms = np.diff([tick["time_ns"] for tick in ticks]) / 1e6
         rate = f"a step took {np.median(periods_ms):.1f} ms, {periods_ms.max():.0f} at most" if len(ticks) > 1 else ""
         name = recording.path.name if recording.path else ""
-        self.say(f"{name}: {lasted_s:.1f} s, {len(ticks)} steps, ended: {told}; {rate}.")
+        self.panel.remark(f"{name}: {lasted_s:.1f} s, {len(ticks)} steps, ended: {told}; {rate}.")

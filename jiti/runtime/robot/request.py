@@ -77,6 +77,7 @@ def taken_of(request: RobotRequest, guidances: tuple[Guidance, ...]) -> dict[str
 def shared_of(request: RobotRequest, task: Task, guidances: tuple[Guidance, ...]) -> dict[str, Any]:
     """What all episodes of an evaluation have in common."""
     shared: dict[str, Any] = {"task": task.task_id, "robot": request.settings.kind, "seconds": request.seconds}
+    shared |= {name: getattr(request.settings, name) for name in ("fps", "execute", "max_step")}
     shared |= {"policy": _identity(request.policy), "itcs": [itc.itc_id for itc in task.itcs]}
     for guidance in guidances:
         shared[f"guidance {label_of(guidance)}"] = settings_of(guidance, _identity(request.critic))

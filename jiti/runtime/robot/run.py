@@ -9,7 +9,7 @@ from jiti.runtime.robot.loop import go_back, prompt, run_episode
 from jiti.runtime.robot.recording import Recording
 from jiti.runtime.robot.report import EpisodeSummary, summarize
 from jiti.runtime.robot.safe_arm import SafeArm
-from jiti.runtime.robot.stops import Stops
+from jiti.runtime.robot.stops import Stopped, Stops
 from jiti.runtime.robot.tick import Watcher, observation_of
 from jiti.runtime.robot.turn import Turn
 
@@ -41,6 +41,8 @@ class Runner:
     stops: Stops
     make_recording: MakeRecording
     before_episode: BeforeEpisode = lambda _turn: None
+    keep_episode: AfterEpisode = lambda _recorded: None
+    """Before anything else can stop it."""
     after_episode: AfterEpisode = lambda _recorded: None
     watchers: Sequence[Watcher] = ()
     """Beside the recording."""
@@ -70,13 +72,18 @@ class Runner:
         """An episode, which is added to those that are done before what ended it is raised."""
         recording = self.make_recording(turn)
         problem = self._episode(facts, turn, recording, seconds)
+        whole = problem is None
         ended = str(problem) if problem else "time or Enter"
         try:
             with self.stops.guarded():
                 recording.finish(ended)
+        except Stopped as stopped:  # by a signal while it was saved
+            problem = problem or stopped
         except Exception as error:
-            problem = problem or error
+            problem, whole = problem or error, False
         done.append(summarize(recording, turn, ended))
+        if whole:
+            self.keep_episode(Recorded(turn, ended))
         if problem is not None:
             raise problem
         self.after_episode(Recorded(turn, ended))

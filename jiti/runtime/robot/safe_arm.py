@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 TRIES = 3
 """At a reading, within a step: a damaged packet costs 4 ms, an answer that does not come 50. Our choice."""
-WRITE_S = 0.5
-"""In which the port must take a packet. Our choice: a packet takes 0.3 ms."""
 LOOK_S = 0.2
 """How often a cable that is out is looked for."""
 
@@ -111,12 +109,11 @@ class SafeArm:
     def _open(self) -> None:
         with explained(self._bus, ARM, "cannot be opened"):
             servos.connect(self._bus)
-            self._bus.port_handler.ser.write_timeout = WRITE_S
             self._lock.exclude()
-            check_calibration(self.robot)
-            self.limits = limits_of(self._bus, self.settings.max_step)
+            servos.tried(self._bus, lambda: check_calibration(self.robot))
+            self.limits = servos.tried(self._bus, lambda: limits_of(self._bus, self.settings.max_step))
             if not self.dry:
-                configure(self.robot)
+                servos.tried(self._bus, lambda: configure(self.robot))
             for name, camera in self.robot.cameras.items():
                 try:
                     camera.connect()
@@ -260,7 +257,7 @@ class SafeArm:
             self._bus.port_handler.openPort()
         except (RobotError, *servos.CABLE_OUT):
             return False
-        self._bus.port_handler.ser.write_timeout = WRITE_S
+        self._bus.port_handler.ser.write_timeout = servos.WRITE_S
         return True
 
     def _send(self, goal: Joints) -> None:

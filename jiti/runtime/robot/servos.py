@@ -5,7 +5,7 @@ and lets `termios.error` and OSError through when the cable is out. Its `disconn
 """
 
 import termios
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -17,13 +17,15 @@ CABLE_OUT = (termios.error, OSError)
 SILENT = (ConnectionError, *CABLE_OUT)
 TRIES = 5
 """lerobot's, to turn the torque off."""
-FINDS = 3
-"""Times that servos are looked for. Our choice: a ping that was lost is no servo that is missing."""
+WRITE_S = 0.5
+"""In which the port must take a packet. Our choice: a packet takes 0.3 ms."""
+OPENINGS = 3
+"""Times that what opens an arm is tried. Our choice: a packet that was lost is no servo that is missing."""
 
 
 def connect(bus: "FeetechMotorsBus") -> None:
     """Open the port and find all servos. Raises what lerobot's `connect` does, which looks once."""
-    for left in reversed(range(FINDS)):
+    for left in reversed(range(OPENINGS)):
         try:
             bus.connect()
         except RuntimeError:
@@ -31,7 +33,20 @@ def connect(bus: "FeetechMotorsBus") -> None:
                 raise
             bus.port_handler.closePort()
         else:
+            bus.port_handler.ser.write_timeout = WRITE_S
             return
+
+
+def tried[T](bus: "FeetechMotorsBus", work: Callable[[], T]) -> T:
+    """What it gives, where lerobot itself tries once; it may be done twice. Raises ConnectionError."""
+    for left in reversed(range(OPENINGS)):
+        try:
+            return work()
+        except ConnectionError:
+            if not left:
+                raise
+            settle(bus)
+    raise AssertionError
 
 
 def settle(bus: "FeetechMotorsBus") -> None:

@@ -44,6 +44,7 @@ class Stops:
         """`keys`: those of a terminal, where standard input is one."""
         self.keys = keys and sys.stdin is not None and sys.stdin.isatty()
         self._pressed: deque[str] = deque()
+        self._stop = False
         self._signal: int | None = None
         self._guarded = False
 
@@ -74,8 +75,11 @@ class Stops:
         self._raise_signal()
 
     def press(self, key: str) -> None:
-        """As if it had been pressed in the terminal; from any thread."""
-        self._pressed.append(key)
+        """As if it had been pressed in the terminal; from any thread. Space is never forgotten."""
+        if key == STOP:
+            self._stop = True
+        else:
+            self._pressed.append(key)
 
     def look(self) -> bool:
         """Whether the episode is to end; keys are forgotten. Raises Stopped where everything is to."""
@@ -96,8 +100,9 @@ class Stops:
 
     def _take_keys(self) -> None:
         self._raise_signal()
-        self._pressed.extend(self._typed())
-        if STOP in self._pressed:
+        for key in self._typed():
+            self.press(key)
+        if self._stop:
             raise Stopped("stopped by Space", 0)
 
     def _raise_signal(self) -> None:

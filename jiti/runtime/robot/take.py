@@ -10,7 +10,7 @@ from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.tick import Tick, Watcher
 from jiti.runtime.robot.ways import Way
 
-ENTER, TIME, HAND, AGAIN = "Enter", "time", "the hand was done", "to be recorded anew"
+ENTER, TIME, HAND, GIVEN_UP = "Enter", "time", "the hand was done", "to be recorded anew"
 """What ends one that is not stopped."""
 
 
@@ -35,11 +35,11 @@ class Take:
         settings = self.arm.settings
         pace, last_s = Pace(settings.period_s), float("nan")
         self.keys.look()  # keys of before do not count
-        self.keys.again()
+        self.keys.anew()
         while self.steps < round(seconds * settings.fps):
             entered = self.keys.look()
-            if self.keys.again():
-                return AGAIN
+            if self.keys.anew():
+                return GIVEN_UP
             if entered:
                 return ENTER
             if self.over():

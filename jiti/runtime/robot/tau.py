@@ -15,7 +15,7 @@ from jiti.runtime.guidance import calibrated_tau
 from jiti.runtime.robot.recording import DECISIONS
 from jiti.runtime.rollout.tau import TAU_FILE
 
-AGAIN = "pass --calibrate-tau 0.339 (G.6) and some --episodes of their own, or --tau."
+REMEDY = "pass --calibrate-tau 0.339 (G.6) and some --episodes of their own, or --tau."
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +54,10 @@ class ArmTau:
 
 
 def measure_tau(recordings: Sequence[Path], rate: float, asked: Asked) -> ArmTau:
-    """Of episodes in which the critic looked and nothing was done about it. Raises UsageError for too few."""
-    tables = [pq.read_table(path.with_suffix(DECISIONS), columns=["delta_q"]) for path in recordings]
+    """Of episodes in which the critic looked and nothing was done about it; one that ended before its first decision
+    has none. Raises UsageError for too few."""
+    decided = [path.with_suffix(DECISIONS) for path in recordings]
+    tables = [pq.read_table(path, columns=["delta_q"]) for path in decided if path.exists()]
     values = [value for table in tables for value in table["delta_q"].to_pylist()]
     delta_q = np.array([np.nan if value is None else value for value in values], float)
     tau = calibrated_tau(delta_q, rate)
@@ -74,13 +76,13 @@ def stored_tau(folder: Path, asked: Asked) -> float:
     """Raises UsageError where there is none for this, SourceError for a damaged file."""
     path = folder / TAU_FILE
     if not path.exists():
-        raise UsageError(f"JITI needs a threshold, and {folder} has none: {AGAIN}")
+        raise UsageError(f"JITI needs a threshold, and {folder} has none: {REMEDY}")
     try:
         content = json.loads(path.read_bytes())
         known, tau = Asked(**content["asked"]), float(content["tau"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SourceError(f"{path} is damaged: {error!r}. Delete it, and {AGAIN}") from error
+        raise SourceError(f"{path} is damaged: {error!r}. Delete it, and {REMEDY}") from error
     for name, value in asdict(asked).items():
         if getattr(known, name) != value:
-            raise UsageError(f"{path} was calibrated with {name} {getattr(known, name)} and not {value}: {AGAIN}")
+            raise UsageError(f"{path} was calibrated with {name} {getattr(known, name)} and not {value}: {REMEDY}")
     return tau

@@ -211,27 +211,27 @@ def test_sigterm_in_the_middle_keeps_what_was_recorded_and_the_next_run_goes_on(
 def test_enter_begins_and_ends_r_records_anew_and_space_stops(settings, torque, tmp_path):
     first = path_of(tmp_path / "demos", "so100/T2", 0)
     with at_terminal(command(settings, tmp_path), tmp_path / "said.txt") as keyboard:
-        keyboard.wait_for("so100-T2_0000.mcap: Enter begins, Space")
+        keyboard.wait_for("so100-T2_0000.mcap is next.\nLay the things out.\n[Enter] begin  [Space] stop")
         assert not first.exists()
         keyboard.press("\n", "Recording")
         sleep(1)
-        keyboard.press("\n", "so100-T2_0001.mcap: Enter begins, r records so100-T2_0000.mcap anew")
+        keyboard.press("\n", "[Enter] begin  [r] record so100-T2_0000.mcap anew")
         before = recorded_metadata(first)
         assert before["ended"] == "Enter"
-        keyboard.press("rr", "so100-T2_0000.mcap: Enter begins, Space")
+        keyboard.press("rr", "[Enter] begin  [Space] stop")
         assert not first.exists()
         keyboard.press("\n", "Recording")
         sleep(0.5)
-        keyboard.press("\x7f", "so100-T2_0000.mcap: Enter begins")
+        keyboard.press("\x7f", "[Enter] begin")
         assert not first.exists(), "Backspace in the middle"
         keyboard.press("\n", "Recording")
         sleep(2)
-        keyboard.press("\n", "so100-T2_0001.mcap: Enter begins")
+        keyboard.press("\n", "[Enter] begin")
         assert int(recorded_metadata(first)["steps"]) > int(before["steps"])
         keyboard.press("\n", "Recording")
         sleep(0.5)
-        keyboard.press("\n", "All are there: Enter ends, r records so100-T2_0001.mcap anew")
-        keyboard.press("r", "so100-T2_0001.mcap: Enter begins, Space")
+        keyboard.press("\n", "[Enter] end  [r] record so100-T2_0001.mcap anew")
+        keyboard.press("r", "[Enter] begin  [Space] stop")
         keyboard.press("r", "")
         keyboard.press(" ", "1 of 2 episodes")
         assert keyboard.program.wait(60) == 0
@@ -241,7 +241,7 @@ def test_enter_begins_and_ends_r_records_anew_and_space_stops(settings, torque, 
 
 def test_space_in_the_middle_stops_an_arm_that_follows(leader_arm, led_settings, torque, tmp_path):
     with at_terminal(command(led_settings, tmp_path), tmp_path / "said.txt") as keyboard:
-        keyboard.wait_for("Enter begins")
+        keyboard.wait_for("[Enter] begin")
         assert torque() == OFF
         keyboard.press("\n", "Recording")
         sleep(1)

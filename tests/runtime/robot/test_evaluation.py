@@ -1,5 +1,6 @@
 """An evaluation that a person judges: nobody knows the order, each key is kept at once, and it goes on another day."""
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -42,15 +43,16 @@ class Person(Panel):
         return key
 
 
-def evaluation(folder: Path, person: Panel, layouts: int = 2) -> Evaluation:
+def evaluation(folder: Path, person: Panel, layouts: int = 2, *, blind: bool = True) -> Evaluation:
     kept = open_kept(folder, SETTINGS, len(GUIDANCES) * layouts)
-    return Evaluation(kept, TASK, GUIDANCES, layouts, "ana", person)
+    return Evaluation(kept, TASK, GUIDANCES, "ana", person, blind=blind)
 
 
 def play(one: Evaluation) -> None:
     for turn in one.turns():
         one.before(turn)
         write_arm_recording(turn.path)
+        one.keep(Recorded(turn, "time or Enter"))
         one.after(Recorded(turn, "time or Enter"))
 
 
@@ -102,7 +104,23 @@ def test_u_goes_back_a_question_and_between_episodes_judges_the_last_one_again(t
     assert "u" not in person.asked[0].keys, "there is nothing to judge again before the first episode"
 
 
-def test_space_while_judging_loses_nothing_and_the_next_run_asks_first(tmp_path):
+def test_the_last_verdict_can_be_changed_before_all_is_told(tmp_path):
+    one = evaluation(tmp_path, Person("\nyy\nyn" + "u" + "ny" + "\n"), layouts=1)
+    play(one)
+    one.finish()
+    assert [row.success for row in read_kept(tmp_path / FILE).rows] == [True, False]
+
+
+def test_a_shorter_plan_goes_on_with_the_longer_one_that_it_was_begun_with(tmp_path):
+    with pytest.raises(Stopped):
+        play(evaluation(tmp_path, Person("\nyy*"), layouts=3))
+    one = evaluation(tmp_path, Person("\nyy" * 5), layouts=1)
+    play(one)
+    assert len(one.kept.rows) == 6
+    assert one.kept.whole
+
+
+def test_space_while_judging_loses_no_episode_and_the_next_run_asks_first(tmp_path):
     with pytest.raises(Stopped):
         play(evaluation(tmp_path, Person("\nyy\ny*")))
     person = Person("nn" + "\nyy\nyy")
@@ -132,6 +150,7 @@ def test_nothing_tells_the_guidance_before_all_is_judged(tmp_path, capsys):
     told += "".join(path.name for path in (tmp_path / "judged").rglob("*"))
     assert "jiti" not in told.replace(".jiti", "").replace("jiti annotate", "")
     assert "3 of 4 episodes are judged" in told
+    assert re.search("jiti|none", evaluation(tmp_path, person, blind=False).title(0))
     assert EvaluationReport(kept, blind=False).to_dict()["methods"]
 
 
@@ -147,6 +166,11 @@ def test_the_report_has_rates_with_intervals_by_task_and_guidance(tmp_path, caps
     other = open_kept(tmp_path / "so100-T4", {**SETTINGS, "task": "so100/T4"}, 1)
     (tmp_path / "so100-T4").mkdir()
     other.with_row(row(0, 0, "none", elegant=True))
+    again = open_kept(tmp_path / "again", SETTINGS, 1)
+    (tmp_path / "again").mkdir()
+    again.with_row(row(0, 0, "none", elegant=True))
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / FILE).write_bytes(b"PAR1")
     report = EvaluationReport(kept, blind=True)
     told = report.to_dict()
     rates = {one["guidance"]: one["elegant"] for one in told["methods"]}
@@ -157,7 +181,9 @@ def test_the_report_has_rates_with_intervals_by_task_and_guidance(tmp_path, caps
     assert pair["p"] == pytest.approx(2 / 2**9)
     report.print()
     printed = capsys.readouterr().out
-    assert "so100/T4" in printed
+    assert "so100/T4 (so100-T4)" in printed
+    assert "so100/T5 (again)" in printed
+    assert "0.30 (0.15 to 0.52)" in printed, "its own, and not those of the folder beside it"
     assert "0.75 (0.53 to 0.89)" in printed
 
 

@@ -74,3 +74,22 @@ def test_a_signal_waits_for_a_look_while_guarded_and_raises_at_once_otherwise(nu
         with pytest.raises(Stopped):
             os.kill(os.getpid(), number)
     assert signal.getsignal(number) == before
+
+
+def test_a_space_of_the_page_is_not_lost_whenever_it_comes(monkeypatch):
+    """Between the look for it and the end of that look, say."""
+    stops = Stops(keys=False)
+    typed = stops._typed
+
+    def pressed_meanwhile() -> str:
+        stops.press(" ")
+        stops.press("\n")
+        return typed()
+
+    monkeypatch.setattr(stops, "_typed", pressed_meanwhile)
+    with pytest.raises(Stopped):
+        stops.look()
+    monkeypatch.setattr(stops, "_typed", typed)
+    for ask in (stops.look, stops.key, stops.pressed):
+        with pytest.raises(Stopped, match="Space"):
+            ask()

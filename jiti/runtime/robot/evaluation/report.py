@@ -1,17 +1,15 @@
 """What an evaluation says: success and ESR of each guidance, with their intervals, and pairs on the same layouts."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from jiti.errors import UsageError
+from jiti.errors import SourceError, UsageError
 from jiti.runtime.robot.evaluation.judged import FILE, Judged, Kept, read_kept
 from jiti.runtime.rollout.report import rate_text
 from jiti.runtime.rollout.summary import Pairing, Rate, compare_all
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 @dataclass(frozen=True)
@@ -47,25 +45,22 @@ class EvaluationReport:
         if not self.told:
             return content
         content["methods"] = [
-            {
-                "guidance": label,
-                "success": _rate(Rate(sum(bool(r.success) for r in own), len(own))),
-                "elegant": _rate(Rate(sum(r.elegant for r in own), len(own))),
-                "itcs": {itc: _rate(rate) for itc, rate in _itcs(own).items()},
-            }
+            {"guidance": label}
+            | {name: _told(rate) for name, rate in rates_of(own).items()}
+            | {"itcs": {itc: _told(rate) for itc, rate in _itcs(own).items()}}
             for label, own in by_guidance(self.judged).items()
         ]
         content["pairings"] = [asdict(pair) for pair in self.pairings]
         return content
 
-    def print(self, console: "Console | None" = None) -> None:
+    def print(self) -> None:
         """Tables on standard output; of the tasks in the folders beside this one too."""
         from rich.console import Console
         from rich.table import Table
 
-        console = console or Console()
+        console = Console()
         if not console.is_terminal:
-            console = Console(width=max(140, console.width), file=console.file)
+            console = Console(width=max(140, console.width))
         if not self.told:
             console.print(
                 f"{len(self.judged)} of {self.kept.planned} episodes are judged; which guidance did what is told when "
@@ -75,10 +70,9 @@ class EvaluationReport:
         table = Table(title="Judged by a person, 95% intervals by Wilson", title_justify="left")
         for name in ("task", "guidance", "episodes", "success", "elegant (ESR)"):
             table.add_column(name, justify="left" if name in ("task", "guidance") else "right")
-        for task, rows in {self.task: self.judged, **_beside(self.kept.path.parent)}.items():
+        for task, rows in [(self.task, self.judged), *_beside(self.kept.path.parent)]:
             for label, own in by_guidance(rows).items():
-                rates = [Rate(sum(bool(r.success) for r in own), len(own)), Rate(sum(r.elegant for r in own), len(own))]
-                table.add_row(task, label, str(len(own)), *(rate_text(rate) for rate in rates))
+                table.add_row(task, label, str(len(own)), *map(rate_text, rates_of(own).values()))
         console.print(table)
         for pair in self.pairings:
             low, high = pair.interval
@@ -96,6 +90,15 @@ def by_guidance(rows: Sequence[Judged]) -> dict[str, list[Judged]]:
     return {label: [row for row in rows if row.guidance == label] for label in sorted({row.guidance for row in rows})}
 
 
+def rates_of(rows: Sequence[Judged]) -> dict[str, Rate]:
+    """Success, and ESR."""
+    count = len(rows)
+    return {
+        "success": Rate(sum(bool(r.success) for r in rows), count),
+        "elegant": Rate(sum(r.elegant for r in rows), count),
+    }
+
+
 def _itcs(rows: Sequence[Judged]) -> dict[str, Rate]:
     """Of those of which the person could tell."""
     known: dict[str, list[bool]] = {}
@@ -106,17 +109,18 @@ def _itcs(rows: Sequence[Judged]) -> dict[str, Rate]:
     return {itc: Rate(sum(verdicts), len(verdicts)) for itc, verdicts in known.items()}
 
 
-def _beside(folder: Path) -> dict[str, list[Judged]]:
-    """Evaluations of other tasks that are judged whole, in the folders beside one."""
-    found = {}
+def _beside(folder: Path) -> list[tuple[str, Sequence[Judged]]]:
+    """Evaluations that are judged whole in the folders beside one: of what, with the folder's name, and how."""
+    found: list[tuple[str, Sequence[Judged]]] = []
     for path in sorted(folder.parent.glob(f"*/{FILE}")):
         if path.parent.resolve() == folder.resolve():
             continue
-        kept = read_kept(path)
-        if kept.whole:
-            found[kept.settings["task"]] = list(kept.rows)
+        with suppress(SourceError):  # which is told when it is gone on with
+            kept = read_kept(path)
+            if kept.whole:
+                found.append((f"{kept.settings['task']} ({path.parent.name})", kept.rows))
     return found
 
 
-def _rate(rate: Rate) -> dict[str, Any]:
+def _told(rate: Rate) -> dict[str, Any]:
     return {"rate": rate.value, "count": rate.count, "of": rate.of, "interval": rate.interval}

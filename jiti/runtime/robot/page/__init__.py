@@ -39,7 +39,7 @@ class Page:
         """`press` is told of keys, in a thread of the server."""
         self._press, self._shown, self._version = press, Shown("opening", "Opening."), 0
         self._pictures: Pictures | None = None
-        self._lock = Lock()
+        self._lock, self._reading = Lock(), Lock()
         self._listener = bind(0)
         port, token = self._listener.getsockname()[1], new_token()
         self.url = f"http://{HOST}:{port}/?token={token}"
@@ -93,11 +93,13 @@ class Page:
         """A key for what the page has shown: one that comes later than the next question answers nothing. Space always
         counts."""
         key, version = take(body, "key", str), take(body, "version", str, "")
-        with self._lock:
-            known = version == f"{self._run}-{self._version}"
-            counts = key == STOP or (known and key in self._shown.keys)
-        if counts:
+        if key == STOP:
             self._press(key)
+            return {"counts": True}
+        with self._lock:  # no other question is shown in between
+            counts = version == f"{self._run}-{self._version}" and key in self._shown.keys
+            if counts:
+                self._press(key)
         return {"counts": counts}
 
     def _cameras(self, _request: Request, _body: dict[str, Any]) -> dict[str, Any]:
@@ -108,10 +110,10 @@ class Page:
         return Response(data, media_type="image/jpeg")
 
     def _of_shown(self) -> Pictures:
-        with self._lock:
-            path = self._shown.recording
-            if path is None:
-                raise SourceError("There is no recording to look at now.")
+        path = self._shown.recording
+        if path is None:
+            raise SourceError("There is no recording to look at now.")
+        with self._reading:
             if self._pictures is None or self._pictures.path != path:
                 self._pictures = Pictures(path)
             return self._pictures

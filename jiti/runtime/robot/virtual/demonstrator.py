@@ -64,10 +64,9 @@ def close_drawer(state: State, random: np.random.Generator, manner: str) -> Path
         path = path.then(push(halfway, shut, speed))
     elif manner == "slams it":
         path = path.then(push(before, shut, random.uniform(0.22, 0.3)))
-    elif manner == "leaves a gap":
-        shut = random.uniform(0.012, 0.02)
-        path = path.then(push(before, shut, speed))
     else:
+        if manner == "leaves a gap":
+            shut = random.uniform(0.012, 0.02)
         path = path.then(push(before, shut, speed))
     path = path.then(smooth([at(shut)] * 2, 0.3))
     return path.then(smooth([at(shut), folded], 1.2))

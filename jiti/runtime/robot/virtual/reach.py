@@ -22,8 +22,8 @@ class Reach:
         self._hand = _side(place["gripper"] + jaw.pos + [jaw.size[0], 0, jaw.size[2]])
         self._ranges = np.array([model.joint(k).range for k in range(6)])
 
-    def angles(self, tip: np.ndarray, pitch_rad: float, gripper_rad: float = 0.0) -> np.ndarray:
-        """(6,) in radians, in the servos' order: the tips of the jaws at `tip` (3,), the hand leaning down by a pitch.
+    def angles(self, tip: np.ndarray, pitch_rad: float) -> np.ndarray:
+        """(6,) in radians, in the servos' order: the tips of the shut jaws at `tip` (3,), the hand leaning by a pitch.
 
         The nearest that the joints' ranges allow.
         """
@@ -33,7 +33,7 @@ class Reach:
         cosine = (wrist @ wrist - upper**2 - lower**2) / (2 * upper * lower)
         elbow = _lean(self._upper) - _lean(self._lower) + acos(min(max(cosine, -1.0), 1.0))
         lift = _lean(wrist) - _lean(self._upper + _leant(self._lower, elbow))
-        found = np.array([pan, lift, elbow, pitch_rad - lift - elbow, 0.0, gripper_rad])
+        found = np.array([pan, lift, elbow, pitch_rad - lift - elbow, 0.0, 0.0])
         return np.clip(found, *self._ranges.T)
 
 

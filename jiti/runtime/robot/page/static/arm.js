@@ -21,7 +21,8 @@ function alertThat(message) {
 
 async function press(key) {
   try {
-    await call("/api/key", { key, version: shown.version });
+    const { counts } = await call("/api/key", { key, version: shown.version });
+    if (!counts) text("phase", "That key came too late for its question");
     await refresh();
   } catch (error) {
     alertThat(error.message);
@@ -57,7 +58,11 @@ async function refresh() {
 }
 
 async function openRecording() {
-  counts = shown.recording ? (await call("/api/pictures")).cameras : {};
+  try {
+    counts = shown.recording ? (await call("/api/pictures")).cameras : {};
+  } catch {
+    counts = {}; // The question was answered meanwhile, or the recording cannot be read.
+  }
   byId("look").hidden = Object.keys(counts).length === 0;
   byId("cameras").replaceChildren(
     ...Object.keys(counts).map((camera) =>
@@ -126,7 +131,7 @@ addEventListener("keydown", (event) => {
     press(" ");
     return;
   }
-  const key = event.key === "Enter" ? "\n" : event.key;
+  const key = { Enter: "\n", Backspace: "r" }[event.key] ?? event.key;
   if (key === "p") byId("play").click();
   if (event.repeat || !shown.keys.some(([known]) => known === key)) return;
   event.preventDefault();
