@@ -123,21 +123,26 @@ def _record_on_robot(
 @app.command(short_help="Play a policy in simulation, alone and guided by a critic.")
 def rollout(
     task: Annotated[
-        str | None, typer.Option("--task", help="A task of simulation. Default: the newest recording's here.")
+        str | None,
+        typer.Option("--task", help="A task of simulation, or of an arm. Default: the newest recording's here."),
     ] = None,
     policy: Annotated[
         str | None,
-        typer.Option("--policy", help="A checkpoint or run of lerobot-train, or Hub id. Default: the newest."),
+        typer.Option(
+            "--policy", help="A checkpoint or run of lerobot-train, or Hub id. Default in simulation: the newest."
+        ),
     ] = None,
     critic: Annotated[
-        str | None, typer.Option("--critic", help="A run of train-critic, or Hub id. Default: the newest here.")
+        str | None,
+        typer.Option("--critic", help="A run of train-critic, or Hub id. Default in simulation: the newest."),
     ] = None,
     guidance: Annotated[
         list[str] | None,
         typer.Option(
             "--guidance",
             metavar="METHOD[:PICK]",
-            help="none, jiti or full; jiti:random picks so. Repeated, they are compared. Default: none and jiti.",
+            help="none, jiti or full; jiti:random picks so. Repeated, they are compared. Default: none and jiti; on an "
+            "arm one.",
         ),
     ] = None,
     pick: Annotated[PickRank, typer.Option("--pick", help="Of the candidates, by the critic's value.")] = PickRank.best,
@@ -240,6 +245,8 @@ def rollout(
             blind=blind,
         )
         return
+    if judge or not blind:
+        raise UsageError("in simulation predicates judge: --judge and --not-blind are for an arm, with --robot.")
     from jiti.runtime.sim.engine import find_robosuite
     from jiti.tasks.catalogue import load_catalogue
 
@@ -297,6 +304,7 @@ def _play_on_robot(
     try:
         ran = run_robot(request, load_catalogue(*tasks or ()), lambda said: print(said, file=sys.stderr))
     except Stopped as stopped:  # before the arm had torque
+        say(f"{stopped}; nothing was played.")
         raise typer.Exit(stopped.exit_code) from None
     if as_json:
         print(ran.to_json())

@@ -49,9 +49,9 @@ class Keyboard:
             sleep(0.02)
 
     def press(self, key: str, until_said: str, seconds: float = 60) -> None:
-        """And wait for words that come after it."""
+        """And wait for words that come after it. Enter is a carriage return, as in every terminal."""
         before = len(self.said())
-        os.write(self._terminal, key.encode())
+        os.write(self._terminal, key.replace("\n", "\r").encode())
         self.wait_for(until_said, before, seconds)
 
 

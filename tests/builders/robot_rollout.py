@@ -21,12 +21,15 @@ def command(arm: VirtualArm, out: Path, *more: str) -> list[str]:
 
 def main(port: str, robot: str, calibration_dir: str, out: str, *more: str) -> int:
     settings = RobotSettings(port=port, id=robot, calibration_dir=calibration_dir, release_after_s=0.5)
-    request = RobotRequest(settings, task="so100/T2", policy="none", out=Path(out), seconds=600.0)
+    request = RobotRequest(settings, task="so100/T2", policy="hub/p", out=Path(out), seconds=600.0)
     if more == ("judge",):
-        judged = {"judge": True, "guidance": ("none", "jiti"), "critic": "c", "tau": 0.5, "episodes": 2}
+        judged = {"judge": True, "guidance": ("none", "jiti"), "critic": "hub/c", "tau": 0.5, "episodes": 2}
         request = replace(request, task="so100/T5", seconds=1.0, **judged)
     try:
         ran = run_robot(request, load_catalogue(), lambda said: print(said, flush=True), make_agent=robot_agents.quick)
+    except Stopped as stopped:
+        print(stopped, flush=True)
+        return stopped.exit_code
     except JitiError as error:
         print(error, flush=True)
         return 1

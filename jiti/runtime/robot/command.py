@@ -75,6 +75,8 @@ class Ran:
         """On standard output."""
         if self._told:
             self.report.print()
+        if isinstance(self.problem, Stopped):  # an error is told by who ends with it
+            print(f"It was {self.problem}.")
         if self.evaluation is not None:
             self.evaluation.print()
 
@@ -177,8 +179,8 @@ def _run(
                 evaluation.finish()
         except Stopped as stopped:
             problem = stopped
-        at_rest = "" if arm.engaged else " The arm has no torque."
-        page.show(Shown("over", f"{f'It ended: {problem}' if problem else 'It is over.'}{at_rest}"))
+        told_end = f"It ended: {problem}." if problem else "It is over."
+        page.show(Shown("over", told_end + ("" if arm.engaged else " The arm has no torque.")))
         report = replace(
             report,
             taken=report.taken | {"execute": facts.execute},
@@ -206,6 +208,7 @@ def _recordings(request: RobotRequest, task: Task, arm: SafeArm, viewer: Viewer 
 
     def make(turn: Turn) -> Recording:
         about = {"task": task.task_id, "robot": request.settings.kind, "seed": str(turn.seed)}
+        about |= {"policy": request.policy or "", "critic": request.critic or ""}
         about |= {} if blind else {"guidance": turn.label}
         shown = None
         if viewer is not None:
@@ -230,7 +233,7 @@ def _before(
         title = evaluation.title(turn.number) if evaluation else f"Episode {turns.index(turn) + 1} of {len(turns)}"
         if evaluation is not None:
             evaluation.before(turn)
-        elif stops.keys and turn is not turns[0]:
+        elif stops.keys:
             panel.ask(Shown("ready", "Lay the things out.", "Keep clear of the arm.", title, {NEXT: "begin"}))
         panel.tell(Shown("running", _keys(stops), title=title, keys={NEXT: "end the episode"}))
 

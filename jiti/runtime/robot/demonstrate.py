@@ -17,6 +17,7 @@ from jiti.runtime.robot.page import Page
 from jiti.runtime.robot.panel import Panel, Shown
 from jiti.runtime.robot.recorder import Recorder
 from jiti.runtime.robot.recording import TICKS, Recording
+from jiti.runtime.robot.request import arm_task
 from jiti.runtime.robot.safe_arm import SafeArm
 from jiti.runtime.robot.scripted import Scripted
 from jiti.runtime.robot.settings import VIRTUAL, RobotSettings
@@ -71,7 +72,7 @@ def record_robot(
 
     Raises UsageError for what does not fit together or is missing, RobotError for an arm that cannot begin.
     """
-    task, settings = catalogue.task(request.task), _settings(request.settings)
+    task, settings = arm_task(request.task, catalogue), _settings(request.settings)
     _check_hand(request, settings, task)
     folder = request.out or Path(f"jiti-{task.task_id.replace('/', '-')}")
     if folder.exists() and not folder.is_dir():

@@ -23,6 +23,8 @@ from jiti.runtime.rollout.decide import Decided, agent_for, decide
 
 END_S = 5.0
 """How long it may take to end by itself. Our choice."""
+LOOK_S = 0.05
+"""Between two looks at a policy that is being opened. Our choice."""
 GONE_S = 0.1
 """How long an arm's loop waits to tell what a process ended with. Our choice: less than its watchdog does."""
 
@@ -89,9 +91,12 @@ class Inference:
         self.asked_s: float | None = None
         """When the question was put that has no answer yet, in seconds of `perf_counter`."""
 
-    def open(self, observation: Observation) -> Facts:
-        """Wait until policy and critic are there for such observations. Raises what `make_agent` does."""
+    def open(self, observation: Observation, meanwhile: Callable[[], object] = lambda: None) -> Facts:
+        """Wait until policy and critic are there for such observations; `meanwhile` is called again and again, and what
+        it raises ends the wait. Raises what `make_agent` does."""
         self._send("open", observation)
+        while not self._pipe.poll(LOOK_S):
+            meanwhile()
         return self._receive()
 
     def begin(self, seed: int, guidance: Guidance) -> None:
@@ -119,7 +124,7 @@ class Inference:
     def close(self) -> None:
         self._pipe.close()
         if self.asked_s is not None:
-            self._process.terminate()  # nobody waits for what it does
+            self._process.kill()  # nobody waits for what it does
         self._process.join(END_S)
         if self._process.is_alive():
             self._process.kill()
@@ -151,7 +156,8 @@ class Inference:
 
 def _serve(pipe: Connection, brain: Brain, make_agent: OpenAgent) -> None:
     """The side of policy and critic; ends with the other one."""
-    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # a terminal sends them to every process
+    # Whoever ends a program may send it to every process of it; this one ends with the loop.
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     desk = _Desk(brain, make_agent)
     with suppress(EOFError, OSError):

@@ -52,8 +52,9 @@ def prompt() -> Iterator[None]:
 
 def run_episode(
     arm: SafeArm, inference: Inference, facts: Facts, stops: Stops, watchers: Sequence[Watcher], *, seconds: float
-) -> None:
-    """Act on the policy's decisions from the first one on, until time is over or Enter is pressed. The arm is engaged.
+) -> str:
+    """Act on the policy's decisions from the first one on, until `time` is over or `Enter` is pressed: which of them it
+    was. The arm is engaged.
 
     Raises Stopped when the arm is to stop, RobotError when it cannot go on, and what policy and critic raise.
     """
@@ -64,7 +65,9 @@ def run_episode(
     steps = round(seconds * settings.fps)
     acting = 0
     stops.look()  # an Enter of before this episode does not end it
-    while acting < steps and not stops.look():
+    while acting < steps:
+        if stops.look():
+            return "Enter"
         began_s, began_ns = perf_counter(), time_ns()
         seen = arm.observe()
         observed_s = perf_counter()
@@ -105,6 +108,7 @@ def run_episode(
         acting += course.begun
         tick, last_s = tick + 1, began_s
         pace.wait()
+    return "time"
 
 
 def go_back(arm: SafeArm, stops: Stops, rest: Joints) -> None:

@@ -48,7 +48,8 @@ class Panel:
         self._now = shown
         self._show(shown)
         self._stops.look()  # what was pressed at the question before
-        self._say("\n".join(line for line in (shown.title, shown.text, shown.detail, keys_text(shown.keys)) if line))
+        keys = keys_text(shown.keys) + ("" if self._stops.keys else "  (on the page)")
+        self._say("\n".join(line for line in (shown.title, shown.text, shown.detail, keys) if line))
         while (key := self._stops.key()) not in shown.keys:
             pass
         return key

@@ -63,7 +63,7 @@ class Recorder:
         text = f"{self.path(seeds[done]).name} is next." if left else "All are there."
         keys = {NEXT: "begin" if left else "end"}
         keys |= {ANEW: f"record {self.path(seeds[done - 1]).name} anew"} if redoable else {}
-        return self.panel.ask(Shown("ready", text, "Lay the things out.", keys=keys)) == ANEW
+        return self.panel.ask(Shown("ready", text, "Lay the things out." if left else "", keys=keys)) == ANEW
 
     def _one(self, seed: int, seconds: float) -> bool:
         """Whether there is a recording: not where it was given up, or nothing could be read. Raises what stopped it,

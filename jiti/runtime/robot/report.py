@@ -36,7 +36,7 @@ class EpisodeSummary:
     """As in simulation: `none`, `jiti`."""
     recording: str | None
     ended: str
-    """`time or Enter`, or what stopped it."""
+    """`time`, `Enter`, or what stopped it."""
     seconds: float
     steps: int
     """Of the loop, those before the first decision included."""

@@ -1,5 +1,6 @@
 """What is to be played on an arm: a user's arguments, and what follows from them before anything is opened."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.tau import Asked, stored_tau
 from jiti.runtime.robot.turn import Turn
 from jiti.runtime.rollout.plan import label_of, parse_guidance, settings_of
-from jiti.runtime.rollout.plan_file import fingerprint
+from jiti.runtime.rollout.plan_file import critic_folder, fingerprint, policy_folder
 from jiti.runtime.rollout.result import RECORDING_SUFFIX
 from jiti.tasks.catalogue import Catalogue
 from jiti.tasks.task import Task
@@ -59,7 +60,13 @@ class RobotRequest:
 def task_of(request: RobotRequest, catalogue: Catalogue) -> Task:
     if request.task is None:
         raise UsageError("which task? Pass --task so100/T4; `jiti tasks` lists all, --tasks adds your own.")
-    return catalogue.task(request.task)
+    return arm_task(request.task, catalogue)
+
+
+def arm_task(name: str, catalogue: Catalogue) -> Task:
+    """`T4` is the arm's, whatever else is called so. Raises CatalogueError for one that is not there."""
+    short = f"so100/{name}"
+    return catalogue.task(short if any(task.task_id == short for task in catalogue.tasks) else name)
 
 
 def folder_of(request: RobotRequest, task: Task) -> Path:
@@ -78,15 +85,15 @@ def shared_of(request: RobotRequest, task: Task, guidances: tuple[Guidance, ...]
     """What all episodes of an evaluation have in common."""
     shared: dict[str, Any] = {"task": task.task_id, "robot": request.settings.kind, "seconds": request.seconds}
     shared |= {name: getattr(request.settings, name) for name in ("fps", "execute", "max_step")}
-    shared |= {"policy": _identity(request.policy), "itcs": [itc.itc_id for itc in task.itcs]}
+    shared |= {"policy": _identity_of_policy(request), "itcs": [itc.itc_id for itc in task.itcs]}
     for guidance in guidances:
-        shared[f"guidance {label_of(guidance)}"] = settings_of(guidance, _identity(request.critic))
+        shared[f"guidance {label_of(guidance)}"] = settings_of(guidance, _identity_of_critic(request))
     return shared | {"guidances": sorted(map(label_of, guidances))}
 
 
 def asked_of(request: RobotRequest, task: Task) -> Asked:
     """What a tau of these rollouts is for."""
-    policy, critic = _identity(request.policy) or "", _identity(request.critic) or ""
+    policy, critic = _identity_of_policy(request), _identity_of_critic(request)
     return Asked(task.task_id, request.settings.kind, policy, critic, request.window)
 
 
@@ -153,7 +160,21 @@ def _check(request: RobotRequest) -> None:
         )
 
 
-def _identity(name: str | None) -> str | None:
-    """Of a policy or a critic, so that other weights in its place are known."""
-    folder = Path(name).expanduser() if name else None
-    return fingerprint(folder) if folder and folder.is_dir() else name
+def _identity_of_policy(request: RobotRequest) -> str:
+    return _identity(request.policy, policy_folder, "policy")
+
+
+def _identity_of_critic(request: RobotRequest) -> str:
+    return _identity(request.critic, critic_folder, "critic")
+
+
+def _identity(name: str | None, find: Callable[[str], Path], what: str) -> str:
+    """Of a policy or a critic: its weights', so that others in its place are known; a Hub id as it is. Raises
+    UsageError for one that is nowhere."""
+    if name is None:
+        return ""
+    if Path(name).expanduser().is_dir():
+        return fingerprint(find(name))
+    if "/" not in name:
+        raise UsageError(f"there is no {what} {name!r} here; pass the folder of a run or checkpoint, or a Hub id.")
+    return name

@@ -46,13 +46,15 @@ class Runner:
     after_episode: AfterEpisode = lambda _recorded: None
     watchers: Sequence[Watcher] = ()
     """Beside the recording."""
+    _ended: str = ""
 
     def open(self) -> Facts:
-        """Wait for policy and critic; the arm is at rest meanwhile."""
+        """Wait for policy and critic; the arm is at rest meanwhile. Raises Stopped."""
         self.arm.begin_reading()
         for _ in range(round(OPEN_S * self.arm.settings.fps)):
             if (seen := self.arm.observe()) is not None:
-                return self.inference.open(observation_of(seen, self.arm.joints, tuple(self.arm.robot.cameras)))
+                observation = observation_of(seen, self.arm.joints, tuple(self.arm.robot.cameras))
+                return self.inference.open(observation, self.stops.look)
         raise RobotError("the arm cannot be read. Check its cables.")
 
     def play(
@@ -73,7 +75,7 @@ class Runner:
         recording = self.make_recording(turn)
         problem = self._episode(facts, turn, recording, seconds)
         whole = problem is None
-        ended = str(problem) if problem else "time or Enter"
+        ended = str(problem) if problem else self._ended
         try:
             with self.stops.guarded():
                 recording.finish(ended)
@@ -97,7 +99,8 @@ class Runner:
                 try:
                     arm.engage()
                     rest = dict(arm.goal)
-                    run_episode(arm, self.inference, facts, self.stops, (recording, *self.watchers), seconds=seconds)
+                    watchers = (recording, *self.watchers)
+                    self._ended = run_episode(arm, self.inference, facts, self.stops, watchers, seconds=seconds)
                     if not arm.dry:
                         go_back(arm, self.stops, rest)
                     arm.release()

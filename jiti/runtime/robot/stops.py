@@ -24,6 +24,8 @@ SIGNALS = (
 )
 STOP, NEXT = " ", "\n"
 """Space ends everything, Enter the episode."""
+_CARRIAGE_RETURN = "\r"
+"""What Enter sends where the terminal does not make a new line of it: Python 3.12.1's `setcbreak` has it not to."""
 LOOK_S = 0.02
 """Between two looks at the keys while a person thinks."""
 
@@ -79,7 +81,7 @@ class Stops:
         if key == STOP:
             self._stop = True
         else:
-            self._pressed.append(key)
+            self._pressed.append(NEXT if key == _CARRIAGE_RETURN else key)
 
     def look(self) -> bool:
         """Whether the episode is to end; keys are forgotten. Raises Stopped where everything is to."""

@@ -16,7 +16,9 @@ from jiti.runtime.robot.evaluation.judged import FILE, Judged, open_kept, read_k
 from jiti.runtime.robot.evaluation.report import EvaluationReport
 from jiti.runtime.robot.evaluation.schedule import schedule
 from jiti.runtime.robot.panel import Panel, Shown
+from jiti.runtime.robot.request import RobotRequest, shared_of
 from jiti.runtime.robot.run import Recorded
+from jiti.runtime.robot.settings import RobotSettings
 from jiti.runtime.robot.stops import Stopped, Stops
 from jiti.tasks.catalogue import load_catalogue
 from tests.builders.arm_recording import write_arm_recording
@@ -52,8 +54,8 @@ def play(one: Evaluation) -> None:
     for turn in one.turns():
         one.before(turn)
         write_arm_recording(turn.path)
-        one.keep(Recorded(turn, "time or Enter"))
-        one.after(Recorded(turn, "time or Enter"))
+        one.keep(Recorded(turn, "time"))
+        one.after(Recorded(turn, "time"))
 
 
 @given(st.integers(0, 2**63 - 1), st.integers(1, 12), st.integers(0, 6))
@@ -196,6 +198,29 @@ def test_what_does_not_fit_is_refused_and_nothing_changes(tmp_path):
     (tmp_path / FILE).write_bytes(before[:-9])
     with pytest.raises(SourceError, match=r"evaluation.parquet is damaged.*Move it away"):
         open_kept(tmp_path, SETTINGS, 4)
+
+
+def test_another_policy_in_its_place_is_known_and_one_that_is_nowhere_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, weights in (("one", b"1"), ("two", b"2")):
+        folder = tmp_path / name / "checkpoints" / "last" / "pretrained_model"
+        folder.mkdir(parents=True)
+        (folder / "config.json").write_text("{}")
+        (folder / "model.safetensors").write_bytes(weights)
+
+    def shared(policy: str) -> dict:
+        request = RobotRequest(RobotSettings(port="virtual"), policy=policy)
+        return shared_of(request, TASK, (GUIDANCES["none"],))
+
+    assert shared("one") == shared("one/checkpoints/last/pretrained_model")
+    assert shared("one")["policy"] != shared("two")["policy"]
+    assert shared("hub/one")["policy"] == "hub/one"
+    with pytest.raises(UsageError, match="there is no policy 'three' here"):
+        shared("three")
+    tmp_path.joinpath("a").mkdir()
+    open_kept(tmp_path / "a", {**SETTINGS, "guidance jiti": {"tau": 0.5, "window": 2}}, 4).save()
+    with pytest.raises(UsageError, match=r"with guidance jiti tau 0.5 and not 0.3;"):
+        open_kept(tmp_path / "a", {**SETTINGS, "guidance jiti": {"tau": 0.3, "window": 2}}, 4)
 
 
 def _segments(folder: Path) -> list[dict]:

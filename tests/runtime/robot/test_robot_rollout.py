@@ -43,7 +43,14 @@ OFF = [0] * 6
 def asked(settings, tmp_path) -> RobotRequest:
     """Three seconds, quick decisions."""
     return RobotRequest(
-        settings, task="so100/T2", policy="p", critic="c", guidance=("jiti",), tau=0.5, seconds=3.0, out=tmp_path
+        settings,
+        task="so100/T2",
+        policy="hub/p",
+        critic="hub/c",
+        guidance=("jiti",),
+        tau=0.5,
+        seconds=3.0,
+        out=tmp_path,
     )
 
 
@@ -241,6 +248,7 @@ def test_ctrl_z_and_the_like_in_its_own_terminal_stop_the_arm_and_suspend_nothin
 ):
     ours, theirs = pty.openpty()
     with _program(arm, tmp_path, stdin=theirs, before=("setsid", "--ctty", "--wait")) as program:
+        _begin(program, ours)
         _moves(arm, program, until)
         os.write(ours, key)
         told, _ = program.communicate(timeout=60)
@@ -267,6 +275,7 @@ def test_a_signal_ends_it_with_no_torque_and_the_recording(arm, torque, tmp_path
 def test_space_in_the_terminal_stops_it(arm, torque, tmp_path, until):
     ours, theirs = pty.openpty()
     with _program(arm, tmp_path, stdin=theirs) as program:
+        _begin(program, ours)
         _moves(arm, program, until)
         os.write(ours, b" ")
         told, _ = program.communicate(timeout=60)
@@ -314,13 +323,47 @@ def _judging(arm, out: Path, keys: str) -> str:
         for line in program.stdout:
             said.append(line)
             if "[Space] stop" in line:
-                os.write(ours, next(presses).encode())
+                os.write(ours, next(presses).replace("\n", "\r").encode())
         program.wait(timeout=60)
     os.close(ours)
     os.close(theirs)
     assert next(presses, None) is None, "".join(said)
     assert program.returncode == 0, "".join(said)
     return "".join(said)
+
+
+def test_space_while_the_policy_is_loaded_ends_it_without_torque(arm, tmp_path):
+    ours, theirs = pty.openpty()
+    with _program(arm, tmp_path, stdin=theirs) as program:
+        for line in program.stdout:
+            if "Loading" in line:
+                break
+        os.write(ours, b" ")
+        told, _ = program.communicate(timeout=60)
+    os.close(ours)
+    os.close(theirs)
+    assert "stopped by Space" in told
+    assert "[Enter]" not in told
+    assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_a_signal_to_all_its_processes_lets_the_virtual_arm_go_in_order(tmp_path):
+    command = [sys.executable, "-m", "jiti", "record", "--robot", "so100", "--port", "virtual", "--leader", "virtual"]
+    command += ["--task", "so100/T5", "--episodes", "1", "--out", str(tmp_path / "demos")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, env=environment, start_new_session=True, **pipes
+    ) as program:
+        for line in program.stdout:
+            if line.startswith("Recording"):
+                break
+        os.killpg(program.pid, signal.SIGTERM)
+        told, _ = program.communicate(timeout=60)
+    assert program.returncode == 128 + signal.SIGTERM, told
+    assert "stopped by SIGTERM" in told
+    assert "is gone" not in told
+    assert "did not say" not in told
 
 
 def test_a_second_program_on_the_port_is_refused_and_the_first_goes_on(arm, torque, tmp_path, until):
@@ -350,6 +393,15 @@ def test_a_minute_at_30_hz(asked, torque, guidance):
     assert episode.held < 900
     assert episode.decisions > 30
     assert torque() == OFF
+
+
+def _begin(program: subprocess.Popen, terminal: int) -> None:
+    """Press Enter once it is asked for."""
+    for line in program.stdout:
+        if "[Enter] begin" in line:
+            os.write(terminal, b"\r")
+            return
+    raise AssertionError("it never asked")
 
 
 def _moves(arm, program: subprocess.Popen, until) -> None:

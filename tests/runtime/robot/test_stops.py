@@ -32,6 +32,7 @@ def test_space_stops_enter_ends_the_episode_and_others_do_nothing(terminal):
         assert not stops.look()
         assert not press(stops, ours, b"x")
         assert press(stops, ours, b"\n")
+        assert press(stops, ours, b"\r"), "what a terminal sends, whatever Python makes of its settings"
         with pytest.raises(Stopped, match="Space") as stopped:
             press(stops, ours, b" ")
         assert stopped.value.exit_code == 0

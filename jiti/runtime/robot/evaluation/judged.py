@@ -112,13 +112,23 @@ def open_kept(folder: Path, settings: Mapping[str, Any], planned: int) -> Kept:
     if not path.exists():
         return Kept(path, settings, secrets.randbits(63), planned)
     kept = read_kept(path)
-    for name, value in settings.items():
-        if kept.settings.get(name) != value:
+    for name, value in _flat(settings).items():
+        before = _flat(kept.settings).get(name)
+        if before != value:
             raise UsageError(
-                f"{folder} holds an evaluation with {name} {kept.settings.get(name)} and not {value}; one that mixes "
-                "both would compare nothing. Pass what it was begun with, or another --out."
+                f"{folder} holds an evaluation with {name} {before} and not {value}; one that mixes both would compare "
+                "nothing. Pass what it was begun with, or another --out."
             )
     return replace(kept, planned=max(planned, kept.planned))
+
+
+def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """`guidance jiti tau` for what is in one another."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        inner = _flat(value) if isinstance(value, Mapping) else {"": value}
+        flat |= {f"{name} {key}".strip(): one for key, one in inner.items()}
+    return flat
 
 
 def read_kept(path: Path) -> Kept:

@@ -99,7 +99,8 @@ goes before other programs. It takes a tenth of a core."""
 
 def main(task_id: str, seed: str, link: str, descriptor: str) -> None:
     """The side of the arm: ends when the other one closes the pipe, or is no more."""
-    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # a terminal sends them to every process
+    # Whoever ends a program may send it to every process of it; this one goes on until the arm has no torque.
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, URGENT)
