@@ -18,7 +18,7 @@ from bench import Bench
 from program import arguments, run
 from report import Line
 
-sys.path.append(str(Path(__file__).parents[1]))  # for the agents, which inference's process imports by name
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the agents, which inference's process imports by name
 
 from jiti.runtime.robot.command import run_robot
 from jiti.runtime.robot.report import EpisodeSummary, Latency
