@@ -215,6 +215,24 @@ def rollout(
 
     Example: jiti rollout --robot so100 --port virtual --task so100/T4 --policy policy --guidance none
     """
+    asked: dict[str, Any] = {
+        "task": task,
+        "policy": policy,
+        "critic": critic,
+        "guidance": tuple(guidance or ()),
+        "pick": pick.value,
+        "candidates": candidates,
+        "window": window,
+        "tau": tau,
+        "tau_scale": tau_scale,
+        "calibrate_tau": calibrate_tau,
+        "episodes": episodes,
+        "seed": seed,
+        "device": device,
+        "out": out,
+        "record": record,
+        "live": live,
+    }
     if robot is not None or robot_config is not None or port is not None:
         if branch is not None:
             raise UsageError("--branch is for simulation: leave it out, or --robot and --port.")
@@ -223,24 +241,9 @@ def rollout(
             robot_config,
             tasks,
             as_json,
-            task=task,
-            policy=policy,
-            critic=critic,
-            guidance=tuple(guidance or ()),
-            pick=pick.value,
-            candidates=candidates,
-            window=window,
-            tau=tau,
-            tau_scale=tau_scale,
-            calibrate_tau=calibrate_tau,
-            episodes=episodes,
+            **asked,
             seconds=seconds,
-            seed=seed,
-            device=device,
-            out=out,
-            record=record,
             dry_run=dry_run,
-            live=live,
             judge=judge,
             blind=blind,
         )
@@ -254,28 +257,13 @@ def rollout(
     from jiti.runtime.rollout.command import Request, names, run_request
 
     request = Request(
-        task=task,
-        policy=policy,
-        critic=critic,
-        guidance=tuple(guidance or ()),
-        pick=pick.value,
-        candidates=candidates,
-        window=window,
-        tau=tau,
-        tau_scale=tau_scale,
-        calibrate_tau=calibrate_tau,
-        episodes=episodes,
-        seed=seed,
+        **asked,
         start=start.value,
         assets=assets,
         cameras=None if cameras is None else names(cameras),
         most_steps=max_steps,
-        device=device,
         workers=workers,
-        out=out,
-        record=record,
         branch=names(branch or "none"),
-        live=live,
     )
     catalogue = load_catalogue(*tasks or ())
     with progress_bar("Playing") as progress:
