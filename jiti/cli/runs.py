@@ -114,10 +114,7 @@ def _record_on_robot(
         print(done.there.to_json())
     else:
         done.there.print()
-    if isinstance(done.problem, Stopped):
-        raise typer.Exit(done.problem.exit_code)
-    if done.problem is not None:
-        raise done.problem
+    _end(done.problem)
 
 
 @app.command(short_help="Play a policy in simulation, alone and guided by a critic.")
@@ -268,7 +265,7 @@ def rollout(
     catalogue = load_catalogue(*tasks or ())
     with progress_bar("Playing") as progress:
         try:
-            done = run_request(request, catalogue, progress, lambda said: print(said, file=sys.stderr))
+            done = run_request(request, catalogue, progress, say)
         except KeyboardInterrupt:
             print("Stopped. Whole episodes are kept; the same command goes on there.", file=sys.stderr)
             raise
@@ -290,7 +287,7 @@ def _play_on_robot(
 
     request = RobotRequest(read_settings(config, **flags), **asked)
     try:
-        ran = run_robot(request, load_catalogue(*tasks or ()), lambda said: print(said, file=sys.stderr))
+        ran = run_robot(request, load_catalogue(*tasks or ()), say)
     except Stopped as stopped:  # before the arm had torque
         say(f"{stopped}; nothing was played.")
         raise typer.Exit(stopped.exit_code) from None
@@ -298,7 +295,14 @@ def _play_on_robot(
         print(ran.to_json())
     else:
         ran.print()
-    if isinstance(ran.problem, Stopped):
-        raise typer.Exit(ran.problem.exit_code)
-    if ran.problem is not None:
-        raise ran.problem
+    _end(ran.problem)
+
+
+def _end(problem: Exception | None) -> None:
+    """With what ended an arm's work before its time, once all that it left is printed."""
+    from jiti.runtime.robot.stops import Stopped
+
+    if isinstance(problem, Stopped):
+        raise typer.Exit(problem.exit_code)
+    if problem is not None:
+        raise problem

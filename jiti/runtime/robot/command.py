@@ -122,8 +122,7 @@ def _run(
     guidances = guidances_of(request, task, folder)
     if request.policy is None:
         raise UsageError("an arm needs a policy of its own: pass --policy, a checkpoint or run of lerobot-train.")
-    if not request.settings.port:
-        raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
+    request.settings.check_port()
     brain = Brain(request.policy, request.critic, guidances, task.instruction, request.device, request.settings.execute)
     turns = [] if request.judge else turns_of(request, folder, task, guidances[0])
     with ExitStack() as stack:

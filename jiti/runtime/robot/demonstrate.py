@@ -158,8 +158,7 @@ def _settings(settings: RobotSettings) -> RobotSettings:
     """With ports that fit together."""
     if settings.leader == NONE:
         settings = replace(settings, leader="")
-    if not settings.port:
-        raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
+    settings.check_port()
     if settings.leader == VIRTUAL != settings.port:
         raise UsageError("--leader virtual is moved by a hand that must see the task's things: pass --port virtual.")
     if (

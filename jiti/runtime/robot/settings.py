@@ -68,6 +68,11 @@ class RobotSettings:
         if self.execute < 0:
             raise UsageError(f"execute is {self.execute}; it must be 1 or more, or 0 for half a chunk.")
 
+    def check_port(self) -> None:
+        """Raises UsageError where none was named."""
+        if not self.port:
+            raise UsageError("which port? Pass --port /dev/ttyACM0 (`lerobot-find-port` tells it), or --port virtual.")
+
     @property
     def period_s(self) -> float:
         return 1 / self.fps
