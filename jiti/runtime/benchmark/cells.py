@@ -14,7 +14,7 @@ from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.rollout.result import ROLLOUTS
 from jiti.runtime.rollout.summary import bootstrap_interval, mcnemar, wilson
 
-_COLUMNS = ["label", "seed", "success", "elegant", "steps", "decisions", "interventions", "problems"]
+_COLUMNS = ["label", "seed", "success", "elegant", "decisions", "interventions", "problems"]
 _TIMES = ["observe_s", "sample_s", "score_s", "wall_s"]
 
 
@@ -41,7 +41,6 @@ class One:
     """Of the initial state and of the noise."""
     success: bool
     elegant: bool
-    actions: int
     decisions: int
     interventions: int
     problems: int
@@ -124,7 +123,6 @@ def _rollouts(table: pa.Table, cell: Cell, seeds: range) -> list[One]:
             row["seed"],
             row["success"],
             row["elegant"],
-            max(0, row["steps"] - 1),
             row["decisions"],
             row["interventions"],
             row["problems"],
@@ -176,17 +174,18 @@ class Effort:
     """An episode."""
     share: float
     """Of decisions."""
-    step_ms: float
-    """Of policy and critic, for a step."""
+    decision_ms: float
+    """Of policy and critic, for a decision: a whole chunk."""
 
 
 def effort(rollouts: Sequence[One]) -> Effort:
     """Over all rollouts."""
     interventions = sum(one.interventions for one in rollouts)
+    decisions = max(1, sum(one.decisions for one in rollouts))
     return Effort(
         interventions / max(1, len(rollouts)),
-        interventions / max(1, sum(one.decisions for one in rollouts)),
-        1e3 * sum(one.decided_s for one in rollouts) / max(1, sum(one.actions for one in rollouts)),
+        interventions / decisions,
+        1e3 * sum(one.decided_s for one in rollouts) / decisions,
     )
 
 

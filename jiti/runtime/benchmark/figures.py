@@ -87,4 +87,5 @@ def _numbers(rollouts: Any) -> dict[str, Any] | None:
         found = rate(rollouts, name)
         told[name] = {"rate": found.value, "interval": list(found.interval)}
     cost = effort(rollouts)
-    return told | {"interventions": cost.interventions, "intervention_rate": cost.share, "step_ms": cost.step_ms}
+    told |= {"interventions": cost.interventions, "intervention_rate": cost.share}
+    return told | {"decision_ms": cost.decision_ms}

@@ -7,7 +7,7 @@ from typing import Any
 from jiti.runtime.benchmark.cells import Estimate, Results, effort, rate
 from jiti.runtime.benchmark.charts import Bar, Point, bar_chart, sweep_chart
 from jiti.runtime.benchmark.figures import alike, compared, numbers
-from jiti.runtime.benchmark.paper import AVERAGE, FIGURES, INTERVENTIONS, RATE, STEP_MS, paper_average
+from jiti.runtime.benchmark.paper import AVERAGE, DECISION_MS, FIGURES, INTERVENTIONS, RATE, paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 
 MISSING = "missing"
@@ -157,14 +157,14 @@ def _averages(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTable
                 _paper_text(column, INTERVENTIONS),
                 (f"{100 * cost.share:.1f}%" if guided else NOTHING) if cost else MISSING,
                 _paper_text(column, RATE, "%"),
-                f"{cost.step_ms:.2f}" if cost else MISSING,
-                _paper_text(column, STEP_MS),
+                f"{cost.decision_ms:.2f}" if cost else MISSING,
+                _paper_text(column, DECISION_MS),
                 str(len(own)) if own else MISSING,
                 ", ".join(map(str, column.seeds)),
             )
         )
     heading = ("", "ESR", "paper", "success", "interventions an episode", "paper")
-    heading += ("of decisions", "paper", "ms a step", "paper", "rollouts", "training seeds")
+    heading += ("of decisions", "paper", "ms a decision", "paper", "rollouts", "training seeds")
     yield TextTable(heading, tuple(rows))
     yield Chart("esr-average", bar_chart(bars))
     if problems := {

@@ -74,7 +74,7 @@ def test_rates_and_effort_are_those_of_the_rollouts(tmp_path):
     assert (rate(jiti).count, rate(jiti).of) == (5, 8)
     cost = effort(jiti)
     assert (cost.interventions, cost.share) == (3.0, 0.3)
-    assert cost.step_ms == pytest.approx(10 * 3.0 / 100)  # 10 decisions of 3 ms over 100 actions
+    assert cost.decision_ms == pytest.approx(3.0)
 
 
 def test_pairs_are_of_one_policy_and_one_state(tmp_path):
@@ -123,7 +123,7 @@ def test_interval_and_p_keep_the_policies_of_one_state_together(tmp_path):
 
 
 def played(states, training: int = 0, task: str = T0) -> list[One]:
-    return [One(task, training, k, won, elegant, 100, 10, 0, 0, 0.1, 1.0) for k, (won, elegant) in enumerate(states)]
+    return [One(task, training, k, won, elegant, 10, 0, 0, 0.1, 1.0) for k, (won, elegant) in enumerate(states)]
 
 
 def test_policies_that_agree_make_no_rate_more_certain():
@@ -180,7 +180,7 @@ def test_the_tables_have_the_papers_figures_beside_ours(tmp_path):
         ("JITI, paper", "86", "42", "64"),
     )
     averages = {row[0]: row[1:] for row in _table(report, "Averages").rows}
-    assert averages["JITI"][1:7] == ("64", "87.5 (53–98)", "3.00", "6.26", "30.0%", "33.9%")
+    assert averages["JITI"][1:9] == ("64", "87.5 (53–98)", "3.00", "6.26", "30.0%", "33.9%", "3.00", "220.5")
     assert averages["Base"][3:6] == ("–", "0", "–")
     assert averages["Base, seed 0 only"][:2] == ("12.5 (2–47)", "–")
     assert averages["Base, seed 0 only"][-2:] == ("8", "0")
