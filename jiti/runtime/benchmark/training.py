@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -88,7 +89,8 @@ def train_all(
 ) -> None:
     """Train these. Those that are done are kept whatever becomes of the others; a policy that was stopped begins anew.
 
-    Raises UsageError with the end of the log of one that failed; the others are then stopped.
+    Raises UsageError with the end of the log of one that failed, or with the signal that ended one; the others are then
+    stopped.
     """
     waiting, running, ended = list(stages), [], 0.0
     costs = {stage.key: stage.inputs["steps"] * (2 if stage.kind == "policies" else 1) for stage in stages}
@@ -98,10 +100,18 @@ def train_all(
             while waiting and len(running) < workers:
                 running.append(_start(work, waiting.pop(0), plan))
             time.sleep(POLL_S)
+            failed: list[UsageError] = []
             for one in [one for one in running if one.process.poll() is not None]:
                 running.remove(one)
-                finished(one.stage, time.monotonic() - one.began, _ended(work, one))
+                try:
+                    made = _ended(work, one)
+                except UsageError as error:
+                    failed.append(error)
+                    continue
+                finished(one.stage, time.monotonic() - one.began, made)
                 ended += costs[one.stage.key]
+            if failed:
+                raise failed[0]
             share = ended + sum(one.share() * costs[one.stage.key] for one in running)
             progress(share / max(1, total), f"training {', '.join(_title(one.stage) for one in running) or 'done'}")
     finally:
@@ -140,6 +150,12 @@ def _start(work: Work, stage: Stage, plan: BenchmarkPlan) -> _Running:
 
 def _ended(work: Work, one: _Running) -> dict[str, Any]:
     one.file.close()
+    if one.process.returncode < 0:
+        name = signal.Signals(-one.process.returncode).name
+        raise UsageError(
+            f"training {_title(one.stage)} was ended from outside ({name}), perhaps for want of memory. What is "
+            f"finished is kept: run the same command again, with fewer --workers. All that it said is in {one.log}."
+        )
     if one.process.returncode:
         said = [line for line in _end(one.log).splitlines() if line.strip()]
         last = said[-1].removeprefix("jiti: ") if said else f"it said nothing and ended with {one.process.returncode}"

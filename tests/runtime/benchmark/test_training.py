@@ -9,6 +9,7 @@ import psutil
 import pytest
 
 from jiti.errors import UsageError
+from jiti.runtime.benchmark import training
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, DataPlan
 from jiti.runtime.benchmark.training import critic_job, policy_job, train_all
 from tests.builders.benchmark import chain_of
@@ -31,6 +32,39 @@ def test_jobs_say_what_the_plan_says(tmp_path):
     job = critic_job(work, critic, PLAN)
     assert job["settings"] == {"run": {"steps": 6000, "seed": 0}, "data": {"rewards": "success"}}
     assert job["recipe"] == "state"
+
+
+def pretend(monkeypatch, codes: dict[str, str]) -> None:
+    """Trainings that have ended before they are looked at, with what each kind's process ran."""
+
+    def start(work, stage, _plan):
+        folder = work.folder(stage)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        log = folder.with_name(f"{folder.name}.log")
+        (folder.parent / f".{folder.name}.partial").mkdir()
+        process = subprocess.Popen([sys.executable, "-c", codes[stage.kind]])
+        process.wait(60)
+        return training._Running(stage, process, log, log.open("wb"))
+
+    monkeypatch.setattr(training, "_start", start)
+
+
+def test_a_training_that_is_done_is_kept_where_another_failed_before_it(tmp_path, monkeypatch):
+    work, policy, critic = stages(tmp_path)
+    pretend(monkeypatch, {"critics": "raise SystemExit(3)", "policies": ""})
+    finished: list[str] = []
+    with pytest.raises(UsageError, match="training critic sparse failed: it said nothing and ended with 3"):
+        train_all(work, [critic, policy], PLAN, 2, lambda stage, *_: finished.append(stage.name), lambda *_: None)
+    assert finished == ["weighted-3"]
+    assert work.folder(policy).is_dir()
+
+
+def test_a_training_that_was_killed_is_told_from_one_that_failed(tmp_path, monkeypatch):
+    work, policy, _ = stages(tmp_path)
+    pretend(monkeypatch, {"policies": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"})
+    with pytest.raises(UsageError, match=r"policy weighted-3 was ended from outside \(SIGKILL\).*fewer --workers"):
+        train_all(work, [policy], PLAN, 1, lambda *_: None, lambda *_: None)
+    assert not work.folder(policy).exists()
 
 
 @pytest.mark.slow
