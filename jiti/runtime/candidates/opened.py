@@ -47,7 +47,8 @@ class OpenedBase:
     def renamed(self, batch: Mapping[str, Any]) -> dict[str, Any]:
         """What the policy looks at, by its own names: pictures in their order where none has its name.
 
-        Raises UsageError for what is missing or of another size.
+        Raises UsageError for what is missing or of another size; pictures may be missing that it was trained to do
+        without (`empty_cameras`).
         """
         wanted = {key: tuple(f.shape) for key, f in (self.config.input_features or {}).items()}
         pictures = [key for key in wanted if key in self.config.image_features]
@@ -55,6 +56,12 @@ class OpenedBase:
         named = {key: key for key in pictures if key in batch} or dict(zip(pictures, there, strict=False))
         if pictures and not named:
             raise UsageError(f"{self.folder} needs pictures ({', '.join(pictures)}), and there are none.")
+        lacking = [key for key in pictures if key not in named]
+        if len(lacking) > getattr(self.config, "empty_cameras", 0):
+            raise UsageError(
+                f"{self.folder} was trained with {', '.join(lacking)}, not among {', '.join(there)}. Give it the "
+                "cameras that it was trained with: --cameras in simulation, the robot's own on an arm."
+            )
         for key in wanted:
             if key in pictures or not key.startswith("observation."):
                 continue

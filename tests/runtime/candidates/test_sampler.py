@@ -1,6 +1,9 @@
 """Chunks follow from their noise alone, in the robot's units."""
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +13,9 @@ pytest.importorskip("lerobot", reason="needs pip install 'jiti[learn]'")
 
 from jiti.errors import UsageError
 from jiti.runtime.candidates import open_sampler
-from tests.runtime.candidates.conftest import SCENE, STATE, TOLD, observation
+from jiti.runtime.candidates.observation import as_batch
+from jiti.runtime.candidates.opened import OpenedBase
+from tests.runtime.candidates.conftest import FRONT, SCENE, STATE, TOLD, WRIST, inputs, observation
 
 # lerobot warns of its own dependencies.
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -86,6 +91,31 @@ def test_what_does_not_fit_is_refused(sampler):
         sampler.observe(whole, TOLD).sample(np.zeros((10, 7), np.float32))
 
 
+@pytest.mark.parametrize(
+    ("wanted", "empty", "cameras", "said"),
+    [
+        ((FRONT, WRIST), 0, (FRONT,), f"trained with {WRIST}, not among {FRONT}"),
+        (("observation.images.camera1", "observation.images.camera2"), 0, (FRONT,), "images.camera2, not among"),
+        ((FRONT, WRIST), 0, (), "and there are none"),
+        ((FRONT, WRIST, "observation.images.empty_camera_0"), 1, (FRONT,), WRIST),
+        ((FRONT, "observation.images.empty_camera_0"), 1, (FRONT,), ""),
+        ((FRONT,), 0, (FRONT, WRIST), ""),
+    ],
+)
+def test_a_camera_that_the_policy_looks_at_is_not_left_out(wanted, empty, cameras, said):
+    features = inputs(scene=0, cameras=wanted)["input_features"]
+    looks = {key: features[key] for key in wanted}
+    config = SimpleNamespace(input_features=features, image_features=looks, empty_cameras=empty)
+    policy: Any = SimpleNamespace(config=config)
+    base = OpenedBase(policy, None, None, Path("run"))
+    batch = as_batch(observation(scene=0, cameras=cameras), TOLD)
+    if said:
+        with pytest.raises(UsageError, match=said):
+            base.renamed(batch)
+    else:
+        assert set(base.renamed(batch)) == {STATE, FRONT, "task"}
+
+
 def test_what_is_no_policy_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"config\.json"):
         open_sampler(tmp_path)
@@ -96,8 +126,6 @@ def test_what_is_no_policy_is_refused(tmp_path):
 
 def test_a_policy_without_stochastic_chunks_is_refused(tmp_path):
     from lerobot.policies.act.configuration_act import ACTConfig
-
-    from tests.runtime.candidates.conftest import inputs
 
     ACTConfig(device="cpu", push_to_hub=False, **inputs()).save_pretrained(tmp_path)
     with pytest.raises(UsageError, match="type act, which is not known to draw different chunks"):
