@@ -15,17 +15,20 @@ RECIPES = Path(__file__).parent / "recipes"
 """Files that come with the package, taken by their names."""
 
 
-def read_settings(path: Path | None) -> Settings:
+def read_settings(path: Path | None, asked: str = "") -> Settings:
     """The settings of a TOML file, or of a recipe of the package by its name; what it does not say is as in the paper.
 
-    Raises UsageError, which names the line.
+    Raises UsageError, which names the line; where there is no such file it begins with what was `asked`, by default the
+    flag of `jiti train-critic`.
     """
     if path is None:
         return Settings()
-    if not path.exists() and (recipe := RECIPES / f"{path}.toml").is_file():
+    if not path.is_file() and (recipe := RECIPES / f"{path}.toml").is_file():
         path = recipe
     recipes = ", ".join(sorted(file.stem for file in RECIPES.glob("*.toml")))
-    content, lines = read_toml(path, f"--config {path}", f"Pass a TOML file, or the name of a recipe: {recipes}.")
+    content, lines = read_toml(
+        path, asked or f"--config {path}", f"Pass a TOML file, or the name of a recipe: {recipes}."
+    )
     return settings_from(content, lambda keys: f"{path}, line {line_of(lines, keys)}: ")
 
 
@@ -50,6 +53,14 @@ def settings_from(content: Mapping[str, Any], where: Any = lambda _keys: "") -> 
         except UsageError as error:
             raise UsageError(f"{where((section,))}{error}") from error
     return made
+
+
+def changed(settings: Settings, tables: Mapping[str, Any], where: Any = lambda _keys: "") -> Settings:
+    """Settings with those of tables of keys in their place. Raises UsageError as `settings_from` does."""
+    whole = settings_to(settings)
+    for section, keys in tables.items():
+        whole[section] = {**whole.get(section, {}), **keys}
+    return settings_from(whole, where)
 
 
 def settings_to(settings: Settings) -> dict[str, Any]:

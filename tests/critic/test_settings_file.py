@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from jiti.critic.settings import Settings
-from jiti.critic.settings_file import differences, read_settings, settings_from, settings_to
+from jiti.critic.settings_file import changed, differences, read_settings, settings_from, settings_to
 from jiti.errors import UsageError
 
 
@@ -60,6 +60,15 @@ def test_a_recipe_is_taken_by_its_name():
     made = read_settings(Path("state"))
     assert made.data.decided_share == 0.5
     assert "loss.td_offset" not in differences(made, Settings())
+
+
+def test_a_recipe_is_changed_key_by_key():
+    recipe = read_settings(Path("state"))
+    made = changed(recipe, {"loss": {"alpha": 7.0}, "run": {"steps": 9}})
+    assert (made.loss.alpha, made.run.steps) == (7.0, 9)
+    assert differences(made, recipe) == ["loss.alpha", "run.steps"]
+    with pytest.raises(UsageError, match="did you mean 'alpha'"):
+        changed(recipe, {"loss": {"alpah": 7.0}})
 
 
 def test_a_file_of_a_recipes_name_is_taken_before_it(tmp_path, monkeypatch):

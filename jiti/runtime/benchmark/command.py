@@ -81,9 +81,9 @@ def _shown(average: dict[str, Any] | None, name: str) -> str:
     return MISSING if average is None else in_percent(average[name]["rate"], *average[name]["interval"])
 
 
-def resolved(request: Request) -> BenchmarkPlan:
+def resolved(request: Request, catalogue: Catalogue) -> BenchmarkPlan:
     """The plan that a request is about. Raises UsageError."""
-    plan = read_plan(request.plan)
+    plan = read_plan(request.plan, catalogue)
     if request.quick:
         plan = smaller(plan)
     if request.episodes is not None:
@@ -95,8 +95,8 @@ def resolved(request: Request) -> BenchmarkPlan:
 def run_request(request: Request, progress: Progress, say: Say) -> Done:
     """Do what is missing, and write the report of what is there. Raises JitiError; what is finished is kept."""
     catalogue = load_catalogue(*request.task_files)
-    plan = resolved(request)
-    _check(request, plan, catalogue)
+    plan = resolved(request, catalogue)
+    _check(request)
     columns = tuple(plan.column(name) for name in request.columns) or plan.columns
     tasks = tuple(catalogue.simulated(name).task_id for name in request.tasks) or plan.tasks
     if unknown := [task for task in tasks if task not in plan.tasks]:
@@ -151,16 +151,12 @@ def report_name(plan: BenchmarkPlan) -> str:
     return f"{plan.name}{'-quick' if plan.quick else ''}{'-tuning' if plan.tuning else ''}"
 
 
-def _check(request: Request, plan: BenchmarkPlan, catalogue: Catalogue) -> None:
+def _check(request: Request) -> None:
     """Raises UsageError before anything is made for what would stop it later."""
     for name in request.only:
         if name not in (*KINDS, REPORT):
             raise UsageError(f"--only {name}: {nearest(name, (*KINDS, REPORT))}.")
     check_installed()
-    for task in plan.data.tasks:
-        found = catalogue.task(task)
-        if found.bddl is None:
-            raise UsageError(f"{task} of the plan {plan.name} is not a task of simulation; `jiti tasks` lists all.")
 
 
 def check_installed() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
+from jiti.curate.export.split import parse_shares
 from jiti.errors import UsageError
 from jiti.policies.recipe import RECIPES
 from jiti.runtime.guidance import CANDIDATES, WINDOW, Method, Pick
@@ -37,6 +38,8 @@ class DataPlan:
     def __post_init__(self) -> None:
         if not self.tasks:
             raise UsageError("data.tasks is empty; name at least one task")
+        _different("data.tasks", self.tasks)
+        _different("data.cameras", self.cameras)
         _at_least("data.episodes", self.episodes, 1)
         _at_least("data.seed", self.seed, 0)
         _one_of("data.start", self.start, get_args(Start))
@@ -54,6 +57,18 @@ class CuratePlan:
     """Which the critic keeps to; base policies learn from all of it, for they are judged on other seeds."""
     seed: int = 0
     gamma: float = 0.98
+
+    def __post_init__(self) -> None:
+        _at_least("curate.seed", self.seed, 0)
+        if not 0 <= self.gamma <= 1:
+            raise UsageError(f"curate.gamma is {self.gamma}; it must be from 0 to 1")
+        try:
+            parse_shares(self.split)
+        except UsageError as error:
+            raise UsageError(
+                f"curate.split is {self.split!r}; it must be three shares of train, validation and test that sum to 1, "
+                "the first above 0: '0.8,0.1,0.1'"
+            ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +99,7 @@ class CriticPlan:
     def __post_init__(self) -> None:
         _at_least("critic.steps", self.steps, 1)
         _at_least("critic.seed", self.seed, 0)
+        _different("critic.tasks", self.tasks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +147,7 @@ class RolloutsPlan:
             _at_least(f"rollouts.{name}", getattr(self, name), 1)
         for name in ("seed", "tuning_seed"):
             _at_least(f"rollouts.{name}", getattr(self, name), 0)
+        _different("rollouts.tasks", self.tasks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,12 +229,13 @@ class BenchmarkPlan:
         if twice := [name for name in names if names.count(name) > 1]:
             raise UsageError(f"two columns are called {twice[0]}")
         for comparison in self.comparisons:
-            for name in (comparison.first, comparison.second):
-                _one_of("compare", name, tuple(names))
+            for side in ("first", "second"):
+                _one_of(f"compare.{side}", getattr(comparison, side), tuple(names))
         for where, tasks in (("critic.tasks", self.critic.tasks), ("rollouts.tasks", self.rollouts.tasks)):
             for task in tasks:
                 _one_of(where, task, self.data.tasks)
         for group, tasks in self.groups.items():
+            _different(f"groups.{group}", tasks)
             for task in tasks:
                 _one_of(f"groups.{group}", task, self.tasks)
         self._check_seeds()
@@ -289,6 +307,11 @@ def smaller(plan: BenchmarkPlan) -> BenchmarkPlan:
 def _at_least(name: str, value: int, least: int) -> None:
     if value < least:
         raise UsageError(f"{name} is {value}; it must be at least {least}")
+
+
+def _different(name: str, values: Sequence[str]) -> None:
+    if twice := [value for value in values if values.count(value) > 1]:
+        raise UsageError(f"{name} names {twice[0]} twice; once is enough")
 
 
 def _one_of(name: str, value: Any, known: Sequence[str]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from jiti.critic.settings_file import RECIPES, changed, read_settings
 from jiti.errors import UsageError
 from jiti.nearest import nearest
 from jiti.runtime.benchmark.plan import (
@@ -20,6 +21,7 @@ from jiti.runtime.benchmark.plan import (
     RolloutsPlan,
     TauPlan,
 )
+from jiti.tasks.catalogue import Catalogue
 from jiti.tasks.toml_lines import KeyPath, line_of, read_toml
 
 PLANS = Path(__file__).parent / "plans"
@@ -42,14 +44,22 @@ def shipped_plans() -> list[str]:
     return sorted(path.stem for path in PLANS.glob("*.toml"))
 
 
-def read_plan(plan: str | Path) -> BenchmarkPlan:
-    """A plan of the package by its name, or of a file. Raises UsageError, which names the line."""
+def read_plan(plan: str | Path, catalogue: Catalogue | None = None) -> BenchmarkPlan:
+    """A plan of the package by its name, or of a file. Raises UsageError, which names the line; with a catalogue also
+    for tasks that cannot be played."""
     path = Path(plan)
     if path.suffix != ".toml" and (shipped := PLANS / f"{plan}.toml").is_file():
         path = shipped
     remedy = f"Pass a TOML file, or the name of a plan of the package: {', '.join(shipped_plans())}."
     content, lines = read_toml(path, f"--plan {plan}", remedy)
-    return plan_from(content, lambda keys: f"{path.name}, line {line_of(lines, keys)}: ", path.stem)
+
+    def where(keys: KeyPath) -> str:
+        return f"{path.name}, line {line_of(lines, keys)}: "
+
+    made = plan_from(content, where, path.stem)
+    if catalogue is not None:
+        _check_tasks(made, catalogue, where(("data", "tasks")))
+    return made
 
 
 def plan_from(content: Mapping[str, Any], where: Where = lambda _keys: "", name: str = "plan") -> BenchmarkPlan:
@@ -60,6 +70,9 @@ def plan_from(content: Mapping[str, Any], where: Where = lambda _keys: "", name:
             raise UsageError(f"{where((key,))}a plan has no {key!r}; {nearest(key, known)}.")
     if "data" not in content:
         raise UsageError(f"{where(())}a plan needs a section [data] with `tasks`.")
+    for key in ("title", "note"):
+        if not isinstance(content.get(key, ""), str):
+            raise UsageError(f"{where((key,))}{key} is {content[key]!r}; it must be a text.")
     made: dict[str, Any] = {"name": name, "title": content.get("title", name), "note": content.get("note", "")}
     for section, kind in _SECTIONS.items():
         if section in content:
@@ -69,7 +82,11 @@ def plan_from(content: Mapping[str, Any], where: Where = lambda _keys: "", name:
         if not isinstance(entries, list):
             raise UsageError(f"{where((key,))}write [[{key}]], for there may be several.")
         made[target] = tuple(_record(kind, entry, (key, place), where) for place, entry in enumerate(entries))
+    if "critic" in made:
+        _check_critic(made["critic"], where)
     groups = content.get("groups", {})
+    if not isinstance(groups, Mapping):
+        raise UsageError(f"{where(('groups',))}groups is {groups!r}; it must be a section of lists of task ids.")
     for group, tasks in groups.items():
         if not _fits(tasks, tuple[str, ...]):
             raise UsageError(f"{where(('groups', group))}groups.{group} is {tasks!r}; it must be a list of task ids.")
@@ -103,14 +120,46 @@ def _record(kind: type, table: Any, keys: KeyPath, where: Where) -> Any:
         raise UsageError(f"{where((*keys, named))}{_ended(error)}") from error
 
 
+def _check_critic(plan: CriticPlan, where: Where) -> None:
+    """Raises UsageError for a recipe that there is not, and settings that it does not have."""
+    at, recipes = where(("critic", "recipe")), sorted(path.stem for path in RECIPES.glob("*.toml"))
+    if plan.recipe not in recipes and not Path(plan.recipe).is_file():
+        raise UsageError(f"{at}critic.recipe is {plan.recipe!r}, which is no file; {nearest(plan.recipe, recipes)}.")
+    recipe = read_settings(Path(plan.recipe), f"{at}critic.recipe {plan.recipe}")
+    try:
+        changed(recipe, plan.settings, lambda keys: where(("critic", "settings", *keys)))
+    except UsageError as error:
+        raise UsageError(_ended(error)) from error
+
+
+def _check_tasks(plan: BenchmarkPlan, catalogue: Catalogue, at: str) -> None:
+    """Raises UsageError for a task that is not simulated or of which nothing could be judged."""
+    known = {task.task_id: task for task in catalogue if task.bddl}
+    for name in plan.data.tasks:
+        if name not in known:
+            raise UsageError(
+                f"{at}{name!r} is no task of simulation; {nearest(name, known)}. --task-file FILE adds your own."
+            )
+        if not known[name].itcs:
+            raise UsageError(
+                f"{at}{name} has no ITC, so nothing would tell an elegant rollout from a successful one. Add one to "
+                "its task file and pass that with --task-file."
+            )
+        if unjudged := [itc.itc_id for itc in known[name].itcs if not itc.goal]:
+            raise UsageError(
+                f"{at}{unjudged[0]} has no `goal`, so the simulator cannot decide it. Add one to its task file."
+            )
+
+
 def _place(message: str, content: Mapping[str, Any]) -> KeyPath:
     """Of what a message is about, as far as the file has it."""
     if message.startswith("two columns"):
         name = message.rpartition(" ")[2]
         return ("column", max(k for k, column in enumerate(content["column"]) if column["name"] == name), "name")
-    if message.startswith("compare"):
-        return ("compare",)
-    for section, key in re.findall(r"(\w+)\.(\w+)", message):
+    if named := re.match(r"compare\.(\w+) is '(.*?)';", message):
+        side, name = named.groups()
+        return ("compare", next(k for k, one in enumerate(content["compare"]) if one[side] == name), side)
+    for section, key in re.findall(r"(\w+)\.([\w-]+)", message):
         if key in content.get(section, {}):
             return section, key
     return ()
@@ -128,7 +177,7 @@ def _fits(value: Any, hint: Any) -> bool:
         return isinstance(value, str)  # which texts, the record says
     if origin is tuple:
         return isinstance(value, list | tuple) and all(_fits(one, get_args(hint)[0]) for one in value)
-    if origin is not None:  # of mappings: the critic's settings check their own
+    if origin is not None:  # of mappings: the critic's settings are checked whole
         return isinstance(value, Mapping) and all(isinstance(one, Mapping) for one in value.values())
     if hint is float:
         return isinstance(value, int | float) and not isinstance(value, bool)

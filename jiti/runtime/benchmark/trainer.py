@@ -33,12 +33,10 @@ def train_policy(arguments: list[str]) -> None:
 
 def train_critic(job: dict[str, Any]) -> None:
     """`jiti train-critic`, with settings that differ from the recipe's."""
-    from jiti.critic.settings_file import read_settings, settings_from, settings_to
+    from jiti.critic.settings_file import changed, read_settings
     from jiti.critic.train import train
 
-    tables = settings_to(read_settings(Path(job["recipe"])))
-    for section, keys in job["settings"].items():
-        tables[section] = {**tables.get(section, {}), **keys}
+    settings = changed(read_settings(Path(job["recipe"])), job["settings"])
     said = 0.0
 
     def tell(share: float, _what: str) -> None:
@@ -47,9 +45,7 @@ def train_critic(job: dict[str, Any]) -> None:
             said = share
             print(f"share:{share:.3f}", flush=True)
 
-    trained = train(
-        Path(job["dataset"]), Path(job["out"]), settings_from(tables), features_dir=Path(job["features"]), progress=tell
-    )
+    trained = train(Path(job["dataset"]), Path(job["out"]), settings, features_dir=Path(job["features"]), progress=tell)
     print(trained)
     Path(job["result"]).write_text(json.dumps({"step": trained.step, **trained.best}))
 

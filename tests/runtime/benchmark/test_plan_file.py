@@ -8,7 +8,7 @@ import pytest
 from jiti.errors import UsageError
 from jiti.runtime.benchmark.plan import smaller
 from jiti.runtime.benchmark.plan_file import read_plan, shipped_plans
-from jiti.tasks.catalogue import load_catalogue
+from jiti.tasks.catalogue import Catalogue, load_catalogue
 
 GOOD = """\
 title = "two"
@@ -37,6 +37,18 @@ paper = "jiti"
 [[compare]]
 first = "base"
 second = "jiti"
+"""
+TASKS = """\
+[[task]]
+id = "own/blind"
+instruction = "do it with care"
+bddl = "libero_goal/put_the_bowl_on_the_plate"
+
+[[task.itc]]
+id = "careful"
+criterion = "pose_alignment"
+statement = "With care."
+check = "Look."
 """
 
 
@@ -81,10 +93,24 @@ def test_a_plan_has_what_its_file_says(tmp_path):
         ('paper = "jiti"', 'paper = "ours"', 22, "column.paper is 'ours'"),
         ('name = "jiti"', 'name = "base"', 20, "two columns are called base"),
         ("seeds = [0, 1]", "seeds = [0, 0]", 17, "name different seeds"),
-        ('second = "jiti"', 'second = "full"', 24, "compare is 'full'"),
+        ('second = "jiti"', 'second = "full"', 26, "compare.second is 'full'"),
         ('["elegant/T2"]', '["elegant/T3"]', 13, "groups.unseen is 'elegant/T3'"),
         ("episodes = 10", "seed = 99990", 5, "gives the seeds"),
         ('name = "base"', 'title = "base"', 15, "column lacks the key 'name'"),
+        ('title = "two"', "title = 2", 1, "title is 2; it must be a text"),
+        (
+            "[critic]",
+            '[critic]\nrecipe = "stat"',
+            8,
+            "critic.recipe is 'stat', which is no file; did you mean 'state'?",
+        ),
+        ("alpha = 0.5", "alpah = 0.5", 10, "[loss] has no key 'alpah'; did you mean 'alpha'?"),
+        ("alpha = 0.5", 'alpha = "half"', 10, "loss.alpha is 'half'; it must be a number"),
+        ("settings.loss", "settings.los", 9, "there is no section [los]; did you mean 'loss'?"),
+        ("episodes = 10", "[curate]\ngamma = 3.0", 6, "curate.gamma is 3.0; it must be from 0 to 1"),
+        ("episodes = 10", '[curate]\nsplit = "hello"', 6, "curate.split is 'hello'; it must be three shares"),
+        ('"elegant/T2"]\nepisodes', '"elegant/T0"]\nepisodes', 4, "data.tasks names elegant/T0 twice"),
+        ('unseen = ["elegant/T2"]', 'un-seen = ["elegant/T9"]', 13, "groups.un-seen is 'elegant/T9'"),
     ],
 )
 def test_a_mistake_is_told_with_its_line(tmp_path, old, new, line, said):
@@ -94,6 +120,44 @@ def test_a_mistake_is_told_with_its_line(tmp_path, old, new, line, said):
         read_plan(write(tmp_path, text))
     assert said in str(error.value)
     assert f"own.toml, line {line}: " in str(error.value)
+
+
+def test_groups_that_are_no_section_are_refused(tmp_path):
+    text = GOOD.replace('[groups]\nunseen = ["elegant/T2"]\n', "")
+    with pytest.raises(UsageError, match=r"own\.toml, line 2: groups is 5; it must be a section"):
+        read_plan(write(tmp_path, text.replace('title = "two"\n', 'title = "two"\ngroups = 5\n')))
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        ("elegant/T77", r"'elegant/T77' is no task of simulation; did you mean 'elegant/T7'\?.*--task-file FILE adds"),
+        ("so100/T4", "'so100/T4' is no task of simulation"),
+        ("own/blind", "own/blind/careful has no `goal`"),
+    ],
+)
+def test_a_task_that_cannot_be_played_is_told_with_its_line(tmp_path, task, said):
+    own = tmp_path / "tasks.toml"
+    own.write_text(TASKS)
+    path = write(tmp_path, GOOD.replace('"elegant/T2"]\nepisodes', f'"elegant/T2", "{task}"]\nepisodes'))
+    with pytest.raises(UsageError, match=rf"own\.toml, line 4: {said}"):
+        read_plan(path, load_catalogue(own))
+
+
+def test_a_task_of_which_nothing_is_judged_is_told_with_its_line(tmp_path):
+    tasks = tuple(replace(task, itcs=()) if task.task_id == "elegant/T2" else task for task in load_catalogue())
+    with pytest.raises(UsageError, match=r"own\.toml, line 4: elegant/T2 has no ITC.*pass that with --task-file"):
+        read_plan(write(tmp_path, GOOD), Catalogue(tasks))
+
+
+def test_settings_of_a_file_that_cannot_be_read_are_told_with_the_line_of_the_plan(tmp_path):
+    recipe = tmp_path / "critic.toml"
+    path = write(tmp_path, GOOD.replace("[critic]", f'[critic]\nrecipe = "{recipe}"'))
+    recipe.write_text("[loss")
+    with pytest.raises(UsageError, match=rf"own\.toml, line 8: critic\.recipe {recipe} is no TOML"):
+        read_plan(path)
+    recipe.write_text("[loss]\nalpha = 2.0\n")
+    assert read_plan(path).critic.recipe == str(recipe)
 
 
 def test_what_is_no_plan_is_refused(tmp_path):
