@@ -283,9 +283,17 @@ def _plan(request: Request, catalogue: Catalogue, say: Say, here: Path) -> Rollo
 
 
 def _cameras(policy: str) -> tuple[str, ...]:
-    """All, where a policy looks at pictures; else none, which is several times faster."""
-    seen = json.loads((policy_folder(policy) / "config.json").read_bytes()).get("input_features") or {}
-    return tuple(CAMERAS) if any(key.startswith("observation.image") for key in seen) else ()
+    """All, where a policy looks at pictures; else none, which is several times faster. Raises UsageError for a policy
+    whose configuration cannot be read."""
+    path = policy_folder(policy) / "config.json"
+    try:
+        seen = json.loads(path.read_bytes()).get("input_features") or {}
+        looks = any(key.startswith("observation.image") for key in seen)
+    except (OSError, ValueError, AttributeError, TypeError) as error:
+        raise UsageError(
+            f"{path} is damaged: {error}. Copy the checkpoint anew, train it again, or pass another --policy."
+        ) from error
+    return tuple(CAMERAS) if looks else ()
 
 
 def _task(request: Request, catalogue: Catalogue, say: Say, here: Path) -> Task:

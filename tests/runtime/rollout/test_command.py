@@ -124,6 +124,15 @@ def test_what_is_missing_is_said_with_what_makes_it(here, tmp_path):
         ask(replace(SHORT, task="T2"), here / "new")
 
 
+@pytest.mark.parametrize("content", ["{", "[]", '{"input_features": [1]}', '{"input_features": 3}', b"\xff"])
+def test_a_policy_whose_configuration_is_damaged_is_named(here, content):
+    config = here / "new/checkpoints/000200/pretrained_model/config.json"
+    config.write_bytes(content if isinstance(content, bytes) else content.encode())
+    asked = replace(SHORT, task="T2", policy=str(config.parent), guidance=("none",))
+    with pytest.raises(UsageError, match=rf"{config} is damaged: .*pass another --policy"):
+        ask(asked, here)
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
