@@ -54,6 +54,8 @@ class JitiConfig(PreTrainedConfig):
         for name, known in (("method", get_args(Method)), ("pick", get_args(Pick))):
             if getattr(self, name) not in known:
                 raise UsageError(f"policy.{name}: {nearest(getattr(self, name), known)}.")
+        if self.seed < 0:
+            raise UsageError(f"policy.seed is {self.seed}; it must be 0 or more.")
         chosen: dict[str, Any] = {"method": self.method, "pick": self.pick}
         return Guidance(**chosen, candidates=self.candidates, window=self.window, tau=self.tau)
 

@@ -144,6 +144,7 @@ def test_what_is_missing_or_makes_no_sense_is_refused_before_anything_is_written
         ({"tau": None}, "tau is None"),
         ({"tau": 0.1, "method": "jitti"}, "did you mean 'jiti'"),
         ({"tau": 0.1, "candidates": 0}, "0 candidates"),
+        ({"tau": 0.1, "seed": -1}, r"policy\.seed is -1; it must be 0 or more"),
         ({"tau": 0.1, "temperature": 2}, "temperature"),
     ):
         with pytest.raises(UsageError, match=said):

@@ -153,10 +153,11 @@ def _check(request: RobotRequest) -> None:
         raise UsageError("tau is a threshold on a critic's values: pass --critic RUN.")
     if not 0 < request.calibrate_tau < 1:
         raise UsageError(f"--calibrate-tau {request.calibrate_tau:g}: a share between 0 and 1; the paper's is 0.339.")
-    if request.guidance or request.tau is not None or request.judge or not request.record:
+    guided = request.guidance or request.tau is not None or request.tau_scale != 1 or request.pick != "best"
+    if guided or request.candidates != CANDIDATES or request.judge or not request.record:
         raise UsageError(
-            "--calibrate-tau plays and records episodes in which nothing is done: leave --guidance, --tau, --judge, "
-            "--dry-run and --no-record out."
+            "--calibrate-tau plays and records episodes in which nothing is done: leave --guidance, --tau, "
+            "--tau-scale, --pick, --candidates, --judge, --dry-run and --no-record out."
         )
 
 

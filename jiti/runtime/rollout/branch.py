@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from jiti.durable import make_folder
 from jiti.episodes.episode import Episode, ImageBatch, samples
 from jiti.episodes.reader import open_reader
 from jiti.errors import UsageError
@@ -28,6 +27,7 @@ from jiti.runtime.rollout.run import (
     enter_jobs,
     graphics_for,
     is_whole,
+    make_out,
     play_job,
 )
 from jiti.runtime.workers import alone
@@ -82,7 +82,7 @@ def branch(
     report = progress or (lambda _share, _what: None)
     check_simulation(plan)
     graphics = graphics_for(plan)
-    make_folder(folder)
+    make_out(folder)
     with alone(folder, "jiti rollout"):
         jobs = enter_jobs(plan, folder, range(episodes), record=True, graphics=graphics, make_agent=make_agent)
         try:

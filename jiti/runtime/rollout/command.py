@@ -79,10 +79,15 @@ class Request:
         }
         if len(given := [flag for flag, wanted in modes.items() if wanted]) > 1:
             raise UsageError(f"{given[0]} and {given[1]} are two things to do: pass one of them.")
-        if self.calibrate_tau is not None and self.guidance:
-            raise UsageError("--calibrate-tau plays unguided episodes: leave --guidance out.")
-        if self.calibrate_tau is not None and self.tau is not None:
-            raise UsageError("--calibrate-tau finds tau: leave --tau out.")
+        without = {
+            "--guidance": bool(self.guidance),
+            "--pick": self.pick != "best",
+            "--candidates": self.candidates != CANDIDATES,
+            "--tau": self.tau is not None,
+            "--tau-scale": self.tau_scale != 1,
+        }
+        if self.calibrate_tau is not None and (given := [flag for flag, passed in without.items() if passed]):
+            raise UsageError(f"--calibrate-tau finds tau on unguided episodes: leave {' and '.join(given)} out.")
         if self.branch and self.guidance:
             raise UsageError("--branch is JITI with several picks: leave --guidance out.")
         if self.branch and self.pick != "best":

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jiti.durable import make_folder
 from jiti.runtime.rollout.agent import OpenAgent, open_agent
 from jiti.runtime.rollout.decide import Decided
 from jiti.runtime.rollout.drawing import draw_decision, draw_state, live_recording
@@ -20,6 +19,7 @@ from jiti.runtime.rollout.run import (
     enter_jobs,
     graphics_for,
     is_whole,
+    make_out,
     play_job,
     results,
 )
@@ -72,7 +72,7 @@ def watch_live(
     """
     check_simulation(plan)
     graphics = graphics_for(plan)
-    make_folder(folder)
+    make_out(folder)
     with alone(folder, "jiti rollout"):
         jobs = enter_jobs(plan, folder, range(episodes), record=record, graphics=graphics, make_agent=make_agent)
         missing = [job for job in jobs if not is_whole(job)]

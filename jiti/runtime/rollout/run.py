@@ -102,9 +102,7 @@ def run_rollouts(
         raise UsageError(f"{episodes} episodes cannot be played; give 1 or more")
     check_simulation(plan)
     graphics = graphics_for(plan)
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file; it must be a folder, which need not exist yet.")
-    make_folder(folder)
+    make_out(folder)
     with alone(folder, "jiti rollout"):
         jobs = enter_jobs(plan, folder, range(episodes), record=record, graphics=graphics, make_agent=make_agent)
         missing = [job for job in jobs if not is_whole(job)]
@@ -117,6 +115,14 @@ def run_rollouts(
         finally:
             write_tables(folder, all_rollouts(folder))
     return results(jobs)
+
+
+def make_out(folder: Path) -> None:
+    """Make the folder of `--out`, or one in it. Raises UsageError where a file is in its place, SaveFailed."""
+    for place in (folder, *folder.parents):
+        if place.exists() and not place.is_dir():
+            raise UsageError(f"--out {place} is a file; it must be a folder, which need not exist yet.")
+    make_folder(folder)
 
 
 def enter_jobs(

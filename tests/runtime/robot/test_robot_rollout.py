@@ -223,6 +223,10 @@ def test_it_is_shown_live_and_that_is_kept(asked, tmp_path):
     assert len(recording.ticks) == 5
 
 
+WITHOUT = ({"tau_scale": 0.5}, {"pick": "worst"}, {"candidates": 4})
+"""What has no effect on a calibration."""
+
+
 def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
     for change, message in (
         ({"policy": None}, "pass --policy"),
@@ -230,6 +234,7 @@ def test_what_is_missing_is_told_before_the_arm_is_touched(asked):
         ({"critic": None}, "needs a critic"),
         ({"tau": None}, "needs a threshold, and .* has none: pass --calibrate-tau"),
         ({"calibrate_tau": 0.3}, "leave --guidance, --tau"),
+        *(({"calibrate_tau": 0.3, "guidance": (), "tau": None, **own}, "--tau-scale, --pick") for own in WITHOUT),
         ({"guidance": ("none", "jiti")}, "a person compares several: add --judge"),
         ({"judge": True, "record": False}, "leave --no-record"),
         ({"judge": True, "guidance": ("none", "none")}, "asked for twice"),

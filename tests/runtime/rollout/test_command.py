@@ -138,6 +138,8 @@ def test_a_policy_whose_configuration_is_damaged_is_named(here, content):
     [
         ({"calibrate_tau": 0.3, "guidance": ("jiti",)}, "leave --guidance out"),
         ({"calibrate_tau": 0.3, "tau": 1.0}, "leave --tau out"),
+        ({"calibrate_tau": 0.3, "tau_scale": 0.5, "pick": "worst"}, "leave --pick and --tau-scale out"),
+        ({"calibrate_tau": 0.3, "candidates": 4}, "leave --candidates out"),
         ({"branch": ("best",), "guidance": ("jiti",)}, "leave --guidance out"),
         ({"branch": ("best",), "live": True}, "--branch and --live are two things"),
         ({"tau_scale": 0.0}, "--tau-scale 0 must be above 0"),
@@ -155,6 +157,17 @@ def test_a_policy_whose_configuration_is_damaged_is_named(here, content):
 def test_options_that_do_not_fit_name_themselves(here, tmp_path, changed, said):
     with pytest.raises(UsageError, match=said):
         ask(replace(SHORT, **{"out": tmp_path / "out", "workers": None, **changed}), here)
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    "way", [{}, {"live": True}, {"branch": ("best", "worst")}, {"calibrate_tau": 0.3, "tau": None}]
+)
+def test_a_file_in_the_place_of_the_folder_is_refused(here, tmp_path, way):
+    (tmp_path / "out").write_text("a file")
+    asked = replace(SHORT, task="T2", tau=0.1, out=tmp_path / "out", workers=None)
+    with pytest.raises(UsageError, match=rf"--out {tmp_path / 'out'} is a file; it must be a folder"):
+        ask(replace(asked, **way), here)
 
 
 @pytest.mark.sim
