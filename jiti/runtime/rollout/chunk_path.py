@@ -11,6 +11,7 @@ paths end within a centimetre of where the hand came to be."""
 
 
 def chunk_path(hand_m: np.ndarray, chunks: np.ndarray) -> np.ndarray:
-    """(n, K + 1, 3) m: places of the hand, from where it is (3,), if it follows each of the chunks (n, K, 7)."""
-    moved = np.cumsum(chunks[..., :3] * STEP_M * FOLLOWED, axis=1)
+    """(n, K + 1, 3) m: places of the hand, from where it is (3,), if it follows each of the chunks (n, K, 7), whose
+    actions are executed clipped to -1 to 1."""
+    moved = np.cumsum(np.clip(chunks[..., :3], -1, 1) * STEP_M * FOLLOWED, axis=1)
     return hand_m + np.concatenate([np.zeros((len(chunks), 1, 3)), moved], axis=1)

@@ -255,6 +255,8 @@ def test_paths_of_chunks_begin_at_the_hand_and_add_up():
     assert paths.shape == (2, 11, 3)
     np.testing.assert_allclose(paths[0], np.tile([0.1, 0.2, 0.3], (11, 1)))
     np.testing.assert_allclose(paths[1, -1], [0.1 + 10 * 0.05 * FOLLOWED, 0.2, 0.3])
+    chunks[1, :, 0] = 3  # of which the environment executes 1
+    np.testing.assert_allclose(chunk_path(np.array([0.1, 0.2, 0.3]), chunks), paths)
 
 
 def test_the_command_line_refuses_in_one_message(tmp_path):
