@@ -1,6 +1,7 @@
 """`jiti demo`: the whole chain on one task, read back from the disk, in a folder in which every other command runs."""
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,8 +20,9 @@ from jiti.runtime.benchmark.command import Done, check_installed, report, run_ch
 from jiti.runtime.benchmark.kept import Work
 from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
 from jiti.runtime.benchmark.plan_file import read_plan
-from jiti.runtime.sim.gl import find_graphics
-from jiti.runtime.sim.record import Plan, Recorded, record
+from jiti.runtime.sim.gl import Graphics, find_graphics
+from jiti.runtime.sim.record import Plan, Recorded, record, recorded_metadata
+from jiti.runtime.sim.record_episode import OUTCOME
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.task import Task
 
@@ -162,19 +164,34 @@ def _recorded(plan: BenchmarkPlan, task: Task, folder: Path) -> list[Recorded]:
 
 
 def _show_one(plan: BenchmarkPlan, task: Task, folder: Path) -> bool:
-    """Write `episode.mcap` and the simulator's proposals for it, unless it is there; say whether it has pictures."""
+    """Write `episode.mcap` and the simulator's proposals for it, unless they are there; say whether it has pictures.
+
+    Raises UsageError where that file is no demonstration of the simulator.
+    """
     shown = folder / SHOWN
     graphics = find_graphics()
-    if not shown.exists():
-        one = Plan(task, plan.data.quality, plan.data.seed, plan.data.start, plan.data.assets)
+    one = Plan(task, plan.data.quality, plan.data.seed, plan.data.start, plan.data.assets)
+    if not _is_first(shown, one, graphics):
         apart = folder / ".episode"
         (recorded,) = record(one, apart, episodes=1, workers=1, graphics=graphics)
-        recorded.path.rename(shown)
-        apart.rmdir()
+        recorded.path.replace(shown)
+        shutil.rmtree(apart)
     reader = open_reader(shown)
     autolabel(reader, Proposer(str(shown.absolute()), Path(reader.labels_dir).absolute(), by="sim"))
     episode = reader.open(reader.episodes()[0].episode_id)
     return any(stream.kind == "camera" for stream in episode.streams.values())
+
+
+def _is_first(path: Path, plan: Plan, graphics: Graphics) -> bool:
+    """Whether a recording is of a plan's first episode, with pictures or without; another task or seed may have been
+    asked for before."""
+    if not path.exists():
+        return False
+    found = recorded_metadata(path)
+    if OUTCOME not in found:
+        raise UsageError(f"{path} is another recording, and recordings are not replaced. Move that file away.")
+    wanted = plan.about(0, graphics)
+    return all(found.get(key) == wanted[key] for key in wanted.keys() - {"cameras", "picture_size"})
 
 
 def _check(recorded: Sequence[Recorded], episodes: dict[str, Episode]) -> None:
