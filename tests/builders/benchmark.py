@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from jiti.progress import Progress
 from jiti.runtime.benchmark import chain as chain_module
 from jiti.runtime.benchmark.chain import Chain
 from jiti.runtime.benchmark.kept import Work
@@ -40,8 +41,15 @@ def write_rollouts(folder: Path, task: str, outcomes: Mapping[str, Outcomes]) ->
     )
 
 
+def report(progress: Progress, what: str) -> None:
+    """As something that takes a while does."""
+    for share in (0.0, 0.5, 1.0):
+        progress(share, what)
+
+
 class Pretended:
-    """Replaces what a chain does by what it would do: `done` names stages and games in their order."""
+    """Replaces what a chain does by what it would do, progress included: `done` names stages and games in their
+    order."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
@@ -57,23 +65,27 @@ class Pretended:
         taken, self.done = self.done, []
         return taken
 
-    def _record(self, plan, folder: Path, **_options) -> dict:
+    def _record(self, plan, folder: Path, *, progress: Progress, **_options) -> dict:
         self.done.append(f"record {plan.task.task_id}")
+        report(progress, self.done[-1])
         return {"episodes": 4, "success": 4, "elegant": 2, "steps": 400}
 
-    def _label(self, folder: Path, episodes: int, _progress) -> dict:
+    def _label(self, folder: Path, episodes: int, progress: Progress) -> dict:
         self.done.append(f"autolabel {folder.name}")
+        report(progress, self.done[-1])
         (folder / "labels").mkdir()
         return {"episodes": episodes}
 
-    def _curate(self, work: Work, stage: Stage, _plan, _progress) -> dict:
+    def _curate(self, work: Work, stage: Stage, _plan, progress: Progress) -> dict:
         self.done.append(f"curate {stage.name}")
+        report(progress, self.done[-1])
         work.folder(stage).mkdir(parents=True)
         return {"episodes": 4}
 
-    def _train(self, work: Work, stages: Sequence[Stage], _plan, _workers, finished, _progress) -> None:
-        for stage in stages:
+    def _train(self, work: Work, stages: Sequence[Stage], _plan, _workers, finished, progress: Progress) -> None:
+        for place, stage in enumerate(stages):
             self.done.append(f"{stage.kind} {stage.name}")
+            progress((place + 1) / len(stages), self.done[-1])
             work.folder(stage).mkdir(parents=True)
             finished(stage, 1.0, {"auc": 0.75})
 
@@ -81,8 +93,9 @@ class Pretended:
         self.done.append(f"tau {stage.name}")
         return Calibration(0.5, 0.3, 0.281, 5, "", "", (), "jitter", "primitive", (), 600, (0, 1), 1, 10)
 
-    def _play(self, games: Sequence[Game], _workers: int, _progress) -> None:
-        for game in games:
+    def _play(self, games: Sequence[Game], _workers: int, progress: Progress) -> None:
+        for place, game in enumerate(games):
+            progress((place + 1) / len(games), f"playing {game.folder.name}")
             labels = game.plan.labels
             if game.plan.guidances[0].tau == float("inf"):
                 (game.folder.parent / "tau.json").write_text(json.dumps({"tau": 0.5}))

@@ -1,5 +1,6 @@
 """What is finished is not done again; what depends on a changed input is."""
 
+import re
 import shutil
 from dataclasses import replace
 
@@ -163,8 +164,13 @@ def test_progress_only_grows_and_tells_the_time_that_is_left(pretended, tmp_path
     told = []
     chain = chain_of(PLAN, tmp_path)
     chain.run(progress=lambda share, what: told.append((share, what)))
-    assert [share for share, _ in told] == sorted(share for share, _ in told)
-    assert all(" left" in what for _, what in told)
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares)
+    assert shares[0] == 0
+    assert shares[-1] == pytest.approx(1)
+    assert all(re.fullmatch(r".+; about \d.* left", what) for _, what in told)
+    kinds = list(dict.fromkeys(what.split(" ")[0] for _, what in told))
+    assert kinds == ["record", "autolabel", "curate", "critics", "policies", "playing"]
 
 
 def test_the_report_says_what_ran_and_what_is_missing(pretended, tmp_path):

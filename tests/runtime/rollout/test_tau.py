@@ -1,6 +1,8 @@
 """tau: calibrated on episodes of its own, kept with the critic, taken only for what it was measured on."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -126,7 +128,10 @@ def test_what_cannot_be_calibrated_is_said(plan, tmp_path):
         calibrate([replace(plan, critic=None, guidances=(NONE,))], tmp_path, window=5)
 
 
-def test_a_critic_that_cannot_be_written_to_leaves_its_tau_with_the_rollouts(tmp_path):
+def test_a_critic_that_cannot_be_written_to_leaves_its_tau_with_the_rollouts(tmp_path, monkeypatch):
     critic = write_critic(tmp_path / "read-only")
     assert tau_path(str(critic), tmp_path) == critic / "tau.json"
+    # Not by its mode, which root may ignore.
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != critic or not mode & os.W_OK)
+    assert tau_path(str(critic), tmp_path) == tmp_path / "tau.json"
     assert tau_path("someone/critic", tmp_path) == tmp_path / "tau.json"
