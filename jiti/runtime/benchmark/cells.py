@@ -56,8 +56,6 @@ class Results:
     cells: Mapping[tuple[str, str, int], Sequence[One]]
     wanted: Sequence[tuple[str, str, int]]
     """All that the plan has."""
-    partial: Mapping[tuple[str, str, int], int]
-    """Rollouts of those that are not whole."""
     episodes: int
     """Of a cell."""
 
@@ -84,7 +82,6 @@ def read_cells(cells: Sequence[Cell], folders: Mapping[str, Path], *, first: int
     """
     tables: dict[str, pa.Table | None] = {}
     whole: dict[tuple[str, str, int], list[One]] = {}
-    partial: dict[tuple[str, str, int], int] = {}
     for cell in cells:
         key = (cell.column.name, cell.task, cell.seed)
         if cell.stage.key not in tables:
@@ -93,10 +90,8 @@ def read_cells(cells: Sequence[Cell], folders: Mapping[str, Path], *, first: int
         own = _rollouts(table, cell, range(first, first + episodes)) if table is not None else []
         if len(own) == episodes:
             whole[key] = own
-        elif own:
-            partial[key] = len(own)
     wanted = [(cell.column.name, cell.task, cell.seed) for cell in cells]
-    return Results(whole, wanted, partial, episodes)
+    return Results(whole, wanted, episodes)
 
 
 def _table(path: Path) -> pa.Table | None:

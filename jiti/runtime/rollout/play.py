@@ -28,11 +28,6 @@ class Played:
     sim_s: float
     """Seconds in the simulator, pictures included."""
 
-    @property
-    def interventions(self) -> int:
-        """Decisions at which candidates were looked at, whichever was then taken."""
-        return sum(d.decision.triggered for d in self.decided)
-
 
 class Watcher:
     """Is told of an episode while it is played; does nothing by itself."""

@@ -147,7 +147,6 @@ def test_a_cell_that_is_not_whole_is_missing_everywhere(tmp_path):
     played = {**PLAYED, ("jiti", T2, 0): PLAYED["jiti", T2, 0][:3]}
     found = results(tmp_path, played)
     assert found.missing() == [("jiti", T2, 0)]
-    assert found.partial == {("jiti", T2, 0): 3}
     told = numbers(PLAN, found)
     assert told["columns"]["jiti"]["average"] is None
     assert told["columns"]["jiti"]["tasks"][T2] is None
@@ -229,7 +228,7 @@ def test_a_sweep_of_tau_is_drawn_where_there_is_one(tmp_path):
     assert not any("Multiples" in section.title for section in make_report(PLAN, results(tmp_path), (), ()).sections)
     scales = tuple(Column(f"x{k}", method="jiti", tau_scale=scale) for k, scale in enumerate((0.5, 1.0, 2.0)))
     plan = replace(PLAN, columns=scales, comparisons=(), groups={})
-    report = make_report(plan, Results({}, [], {}, 4), (), ())
+    report = make_report(plan, Results({}, [], 4), (), ())
     (section,) = [section for section in report.sections if section.title.startswith("Multiples")]
     assert any(isinstance(part, Chart) and part.svg.count("missing") == 3 for part in section.parts)
 
