@@ -19,14 +19,16 @@ RATE = "intervention_rate"
 
 EIGHT = tuple(f"elegant/T{number}" for number in range(8))
 """LIBERO-Elegant, Table 4."""
+SEVEN = tuple(f"rq3/{name}" for name in ("seen-A", "seen-B", "seen-C", "unseen-A", "unseen-B", "unseen-C", "unseen-D"))
+"""RQ3, Table 6."""
 
 
 def paper_average(row: str, tasks: Sequence[str]) -> float | None:
     """The average ESR of a row over some tasks: as it is printed where these are all of its tasks; else
     the mean of their figures. None where there is no figure for one of them, or no such row."""
     figures = FIGURES.get(row, {})
-    own = {key for key in figures if "/" in key} or set(EIGHT if row in ("full", "sparse") else ())
-    if own <= set(tasks):
+    own = {key for key in figures if "/" in key} or set(_AVERAGED.get(row, ()))
+    if own == set(tasks):
         return figures.get(AVERAGE)
     found = [figures[task] for task in tasks if task in figures]
     return sum(found) / len(found) if found and len(found) == len(tasks) else None
@@ -59,3 +61,10 @@ FIGURES: Mapping[str, Mapping[str, float]] = {
 """Rows by name. `base` to `weighted` are Table 8 (SmolVLA); interventions, `full` and `sparse` are of the main paper,
 times of G.6; `rq3-` of the main paper, over seen and unseen objects; `rigid-` and `articulated-` Table 9; `tau-` G.5,
 whose multiple of 1 is not Table 8's JITI."""
+_AVERAGED: Mapping[str, Sequence[str]] = {
+    **dict.fromkeys(("full", "sparse"), EIGHT),
+    **dict.fromkeys(("rq3-base", "rq3-jiti"), SEVEN),
+    # All of G.5's figures are whole 350ths: of seven tasks of 50 rollouts, and which of the eight, it does not say.
+    **dict.fromkeys((row for row in FIGURES if row.startswith("tau-")), EIGHT),
+}
+"""Tasks of the rows that have no figures by task."""

@@ -7,7 +7,7 @@ from typing import Any
 from jiti.runtime.benchmark.cells import Estimate, Results, effort, rate
 from jiti.runtime.benchmark.charts import Bar, Point, bar_chart, sweep_chart
 from jiti.runtime.benchmark.figures import alike, compared, numbers
-from jiti.runtime.benchmark.paper import AVERAGE, DECISION_MS, FIGURES, INTERVENTIONS, RATE, paper_average
+from jiti.runtime.benchmark.paper import DECISION_MS, FIGURES, INTERVENTIONS, RATE, paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 
 MISSING = "missing"
@@ -231,7 +231,9 @@ def _sweep(plan: BenchmarkPlan, results: Results) -> tuple[str | Chart, ...] | N
     for column in sorted(scaled, key=lambda c: c.tau_scale):
         own = results.of(column, plan.tasks)
         share = effort(own).share if own else None
-        points.append(Point(column.tau_scale, rate(own) if own else None, _paper(column, AVERAGE), share))
+        paper = paper_average(column.paper, plan.tasks)
+        beside = None if paper is None else paper / 100
+        points.append(Point(column.tau_scale, rate(own) if own else None, beside, share))
     return (
         "Average ESR over multiples of the calibrated tau, and the share of decisions that exceeded it.",
         Chart("tau", sweep_chart(points)),

@@ -218,9 +218,19 @@ def test_the_papers_average_is_over_the_same_tasks():
     assert paper_average("base", eight) == 49.8
     assert paper_average("base", (T0, T2)) == 52
     assert paper_average("base", ("rq3/seen-A",)) is None
-    assert paper_average("rq3-base", ("rq3/seen-A",)) == 53.0
-    assert paper_average("full", eight) == 53.8
-    assert paper_average("full", (T2,)) is None
+    assert paper_average("base", (*eight, "rq3/seen-A")) is None
+    seven = read_plan("rq3").tasks
+    assert [paper_average(row, seven) for row in ("rq3-base", "rq3-jiti")] == [53.0, 68.6]
+    for row, own in (
+        ("rq3-base", seven),
+        ("tau-1", eight),
+        ("full", eight),
+        ("rigid-jiti", read_plan("g4-rigid").tasks),
+    ):
+        assert paper_average(row, own) is not None
+        assert paper_average(row, (*own, "own/task")) is None
+    for row, some in (("rq3-base", ("rq3/seen-A",)), ("tau-1", (T2,)), ("full", (T2,)), ("sparse", seven)):
+        assert paper_average(row, some) is None
     assert paper_average("", eight) is None
 
 
