@@ -9,6 +9,7 @@ from typing import Any
 
 from jiti.runtime.benchmark.cells import Results
 from jiti.runtime.benchmark.chain import Chain
+from jiti.runtime.benchmark.kept import RUNNING
 from jiti.runtime.benchmark.plan import BenchmarkPlan
 from jiti.runtime.benchmark.remaining import duration
 from jiti.runtime.benchmark.stages import KINDS, Stage, in_order
@@ -159,7 +160,7 @@ def _seeds(first: int, count: int) -> str:
 def _wall(runs: Sequence[dict[str, Any]]) -> str:
     if not runs:
         return NOTHING
-    told = Counter(run.get("ended", "") for run in runs)
+    told = Counter("running or killed" if run.get("ended") == RUNNING else run.get("ended", "") for run in runs)
     how = ", ".join(f"{count} {word}" for word, count in told.items())
     total = sum(run.get("wall_s", 0.0) for run in runs)
     return f"{duration(total)} in {len(runs)} run{'s' if len(runs) > 1 else ''} ({how})"

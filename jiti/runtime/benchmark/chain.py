@@ -126,14 +126,6 @@ class Chain:
         folders = {cell.stage.key: self.work.folder(cell.stage) for cell in cells}
         return read_cells(cells, folders, first=self.plan.seed, episodes=self.plan.episodes)
 
-    def whole(self) -> set[str]:
-        """Keys of the stages of rollouts that are asked for and lack nothing."""
-        return {key for key, (stage, columns) in self._groups().items() if not self._left(stage, columns)}
-
-    def begun(self) -> set[str]:
-        """Keys of those of which something is there."""
-        return {key for key, (stage, _) in self._groups().items() if self.work.folder(stage).exists()}
-
     def _groups(self) -> dict[str, tuple[Stage, list[Column]]]:
         """Stages of rollouts that are asked for, each with the columns that lie there."""
         found: dict[str, tuple[Stage, list[Column]]] = {}

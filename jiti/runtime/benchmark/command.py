@@ -16,7 +16,7 @@ from jiti.progress import Progress
 from jiti.runtime.benchmark.about import made_rows, plan_digest, stage_sections
 from jiti.runtime.benchmark.chain import Chain, Say
 from jiti.runtime.benchmark.figures import numbers
-from jiti.runtime.benchmark.kept import Work, code
+from jiti.runtime.benchmark.kept import Work
 from jiti.runtime.benchmark.page import write_report
 from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
 from jiti.runtime.benchmark.plan_file import read_plan
@@ -115,27 +115,23 @@ def run_chain(chain: Chain, only: Sequence[str], progress: Progress, *, skip: bo
     make_folder(marks)
     from jiti.runtime.rollout.plan_file import hardware
 
-    code()  # now: the checkout may change while this runs
     with alone(marks, "jiti benchmark"):
-        began, ended, whole = monotonic(), "stopped", chain.whole()
+        began, ended = monotonic(), "stopped"
+        chain.work.begin_run(
+            {
+                "plan": chain.plan.name,
+                "digest": plan_digest(chain.plan),
+                "tuning": chain.plan.tuning,
+                "quick": chain.plan.quick,
+                "workers": chain.workers,
+                "machine": hardware(),
+            }
+        )
         try:
             chain.run(only, progress)
             ended = "finished"
         finally:
-            played = chain.begun() - whole if not only or "rollouts" in only else set()
-            chain.work.remember_run(
-                {
-                    "plan": chain.plan.name,
-                    "digest": plan_digest(chain.plan),
-                    "tuning": chain.plan.tuning,
-                    "quick": chain.plan.quick,
-                    "played": sorted(played),
-                    "ended": ended,
-                    "wall_s": round(monotonic() - began, 1),
-                    "workers": chain.workers,
-                    "machine": hardware(),
-                }
-            )
+            chain.work.end_run({"ended": ended, "wall_s": round(monotonic() - began, 1)})
         chain.say(f"All of it took {duration(monotonic() - began)} now.")
 
 

@@ -1,7 +1,7 @@
 """What a work folder remembers: finished stages, and the runs that worked in it."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
@@ -13,6 +13,7 @@ from jiti.errors import SourceError
 from jiti.revision import git_revision
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.rollout.plan_file import versions
+from jiti.runtime.rollout.result import RECORDING_SUFFIX, RESULT_SUFFIX
 
 FOLDERS = {
     "record": "recordings",
@@ -23,6 +24,10 @@ FOLDERS = {
     "rollouts": "rollouts",
 }
 """Of the kinds of stages; labels are with the recordings."""
+RUNNING, KILLED = "running", "killed"
+"""How a run ended that did not, and one that could not say."""
+_THERE = "there"
+"""Of a run that has not ended: how many files of rollouts there were when it began."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +93,46 @@ class Work:
         )
         write_atomic(self._mark(stage), json.dumps(asdict(mark), indent=1).encode())
 
-    def remember_run(self, about: Mapping[str, Any]) -> None:
-        """Add a run to those of the folder, with its code. Raises SaveFailed."""
+    def begin_run(self, about: Mapping[str, Any]) -> None:
+        """Add a run to those of the folder, with its code, before it does anything: what is killed says nothing more.
+
+        One that is still said to be running was killed, for no other works here. Raises SourceError, SaveFailed.
+        """
         make_folder(self.out)
         revision, packages = code()
-        runs = [*self.runs(), {"finished": _now(), "revision": revision, "versions": packages, **about}]
-        write_atomic(self.out / "runs.json", json.dumps(runs, indent=1).encode())
+        before = [_ended(run, {"ended": KILLED}) if run.get("ended") == RUNNING else run for run in self.runs()]
+        own = {"began": _now(), "revision": revision, "versions": packages, **about}
+        self._write_runs([*before, own | {"ended": RUNNING, _THERE: self._results()}])
+
+    def end_run(self, about: Mapping[str, Any]) -> None:
+        """Say how the run ended that began last, and which stages of rollouts it played in. Raises SaveFailed."""
+        *before, own = self.runs()
+        self._write_runs([*before, _ended(own, {"finished": _now(), **about})])
 
     def runs(self) -> list[dict[str, Any]]:
-        """The oldest first. Raises SourceError."""
+        """The oldest first; `played` has the keys of the stages of rollouts in which a run played something, also where
+        it did not come to its end. Raises SourceError."""
         path = self.out / "runs.json"
         try:
-            return json.loads(path.read_bytes()) if path.exists() else []
+            runs = json.loads(path.read_bytes()) if path.exists() else []
         except (OSError, ValueError) as error:
             raise SourceError(f"{path} is damaged: {error!r}. Delete it.") from error
+        for run in runs:
+            if _THERE in run:
+                run["played"] = sorted(key for key, count in self._results().items() if count > run[_THERE].get(key, 0))
+        return runs
+
+    def _write_runs(self, runs: Sequence[Mapping[str, Any]]) -> None:
+        write_atomic(self.out / "runs.json", json.dumps(runs, indent=1).encode())
+
+    def _results(self) -> dict[str, int]:
+        """Files of rollouts by the key of their stage."""
+        folders = (self.out / FOLDERS["rollouts"]).glob("*-*/")
+        suffixes = (RESULT_SUFFIX, RECORDING_SUFFIX)
+        return {
+            folder.name.rpartition("-")[2]: sum(path.suffix in suffixes for path in folder.glob("*/[!.]*"))
+            for folder in folders
+        }
 
     def _mark(self, stage: Stage) -> Path:
         return self.out / "stages" / f"{stage.kind}-{stage.folder}.json"
@@ -111,6 +142,10 @@ class Work:
 def code() -> tuple[str | None, dict[str, str]]:
     """Revision and versions of packages of what runs here, as they were when this process first asked."""
     return git_revision(), versions()
+
+
+def _ended(run: Mapping[str, Any], how: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in run.items() if key != _THERE} | dict(how)
 
 
 def _now() -> str:

@@ -8,6 +8,7 @@ import pytest
 
 from jiti.errors import UsageError
 from jiti.runtime.benchmark import about, kept
+from jiti.runtime.benchmark import chain as chain_module
 from jiti.runtime.benchmark.command import report, run_chain
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, CriticPlan, DataPlan, PolicyPlan, RolloutsPlan
 from jiti.runtime.benchmark.plan_file import read_plan
@@ -208,6 +209,50 @@ def test_the_report_says_what_code_made_what_it_is_of(pretended, tmp_path, monke
     assert made(run(PLAN, "four", "2.8"))[0] == "one, three", "they share the folders of rollouts"
     timed = replace(PLAN, name="timed", rollouts=replace(PLAN.rollouts, timing=True))
     assert made(run(timed, "five", "2.8"))[0] == "one, five", "it shares what was trained"
+
+
+def test_a_run_that_is_killed_is_said_with_what_it_played(pretended, tmp_path, monkeypatch):
+    """What is killed does not come to its end: here it does not say so."""
+
+    def run(revision: str) -> dict[str, str]:
+        monkeypatch.setattr(kept, "code", lambda: (revision, {"python": "3.12"}))
+        chain = chain_of(PLAN, tmp_path)
+        run_chain(chain, (), lambda _share, _what: None)
+        return rows(chain)
+
+    def rows(chain) -> dict[str, str]:
+        return dict(about.made_rows(chain, chain.results()))
+
+    with monkeypatch.context() as killed:
+        killed.setattr(kept.Work, "end_run", lambda *_: None)
+        told = run("one")
+    assert told["revisions that made it"] == "one"
+    assert told["wall time"].endswith("in 1 run (1 running or killed)")
+    shutil.rmtree(next((tmp_path / "rollouts").glob("elegant-T0-all-0-segments-*/jiti")))
+    told = run("two")
+    assert told["revisions that made it"] == "one, two"
+    assert told["wall time"].endswith("in 2 runs (1 killed, 1 finished)")
+    first, second = chain_of(PLAN, tmp_path).work.runs()
+    assert len(first["played"]) == 8
+    assert len(second["played"]) == 1
+
+
+def test_a_run_in_which_nothing_was_played_played_nothing(pretended, tmp_path, monkeypatch):
+    seen: list[str] = []
+
+    def fail(games, *_options):
+        for game in games:
+            game.folder.mkdir(parents=True, exist_ok=True)
+        seen.extend(run["ended"] for run in chain_of(PLAN, tmp_path).work.runs())
+        raise UsageError("nothing can be played")
+
+    monkeypatch.setattr(chain_module, "play_all", fail)
+    columns = (replace(PLAN.columns[0], seeds=(0,)),)
+    with pytest.raises(UsageError, match="nothing can be played"):
+        run_chain(chain_of(replace(PLAN, columns=columns), tmp_path), (), lambda _share, _what: None)
+    (run,) = chain_of(PLAN, tmp_path).work.runs()
+    assert seen == ["running"]
+    assert (run["ended"], run["played"]) == ("stopped", [])
 
 
 def test_time_and_digests_are_of_the_runs_that_are_reported(pretended, tmp_path):
