@@ -11,8 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jiti import __version__
 from jiti.errors import UsageError
-from jiti.runtime.sim.libero import PRIMITIVE, _ArraysOnly, bddl_file, import_libero, initial_states, pack_folder
+from jiti.runtime.sim import libero
+from jiti.runtime.sim.libero import (
+    PRIMITIVE,
+    _ArraysOnly,
+    bddl_file,
+    bddl_fingerprint,
+    import_libero,
+    initial_states,
+    pack_fingerprint,
+    pack_folder,
+)
 from jiti.tasks.catalogue import load_catalogue
 
 SIMULATED = [task for task in load_catalogue() if task.bddl]
@@ -120,3 +131,27 @@ def test_a_users_own_configuration_is_left_alone(tmp_path: Path, monkeypatch) ->
     import_libero()
     assert os.environ["LIBERO_CONFIG_PATH"] == str(tmp_path)
     assert (tmp_path / "config.yaml").read_text() == "assets: /nowhere\n"
+
+
+def test_a_pack_is_known_by_its_files_and_not_by_its_place(tmp_path: Path) -> None:
+    packs = [tmp_path / place / "assets" for place in ("a", "b", "c")]
+    for pack, size in zip(packs, (3, 3, 4), strict=True):
+        (pack / "scenes").mkdir(parents=True)
+        (pack / "scenes" / "table.xml").write_bytes(b"x" * size)
+    first, same, other = (pack_fingerprint(pack) for pack in packs)
+    assert first == same != other
+    assert first.startswith("assets/ ")
+    (packs[0] / "scenes" / "table.xml").rename(packs[0] / "scenes" / "desk.xml")
+    assert pack_fingerprint(packs[0]) != first
+    assert pack_fingerprint(None) == pack_fingerprint("primitive") == f"primitive {__version__}"
+    with pytest.raises(UsageError, match="is no asset pack"):
+        pack_fingerprint(tmp_path)
+
+
+def test_a_problem_is_known_by_its_name_and_content(tmp_path: Path, monkeypatch) -> None:
+    known = bddl_fingerprint("libero_goal/put_the_bowl_on_the_plate")
+    assert known.startswith("libero_goal/put_the_bowl_on_the_plate ")
+    assert known != bddl_fingerprint("libero_goal/push_the_plate_to_the_front_of_the_stove")
+    (tmp_path / "other.bddl").write_text("(define (problem other))")
+    monkeypatch.setattr(libero, "bddl_file", lambda _name: tmp_path / "other.bddl")
+    assert bddl_fingerprint.__wrapped__("libero_goal/put_the_bowl_on_the_plate") != known

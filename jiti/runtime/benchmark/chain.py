@@ -25,7 +25,7 @@ from jiti.runtime.benchmark.playing import Game, Table, kept_tau, label, play_al
 from jiti.runtime.benchmark.remaining import Remaining
 from jiti.runtime.benchmark.stages import KINDS, Kind, Stage, Stages, in_order
 from jiti.runtime.benchmark.training import train_all
-from jiti.runtime.sim.libero import pack_name
+from jiti.runtime.sim.libero import pack_fingerprint
 from jiti.tasks.catalogue import Catalogue
 
 Say = Callable[[str], None]
@@ -59,7 +59,7 @@ class Chain:
                 seen[stage.key] = reviewed(self.work.folder(stage))
             return seen[stage.key]
 
-        return Stages(self.plan, self.catalogue, pack_name(self.pack), decided, self.work.flat)
+        return Stages(self.plan, self.catalogue, pack_fingerprint(self.pack), decided, self.work.flat)
 
     @property
     def pack(self) -> str:

@@ -15,6 +15,7 @@ from typing import Any, Literal
 from jiti.critic.settings_file import RECIPES
 from jiti.policies.recipe import recipe_path
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Data, Rewards
+from jiti.runtime.sim.libero import bddl_fingerprint
 from jiti.tasks.catalogue import Catalogue
 
 Kind = Literal["record", "autolabel", "curate", "policies", "critics", "tau", "rollouts"]
@@ -65,7 +66,7 @@ class Stages:
     plan: BenchmarkPlan
     catalogue: Catalogue
     pack: str
-    """Name of the asset pack."""
+    """Fingerprint of the asset pack."""
     reviewed: Reviewed = lambda _stage: ""
     together: bool = False
     """Whether all methods of a policy and a critic are played in one folder, as `jiti rollout` does."""
@@ -162,6 +163,7 @@ class Stages:
             "task": task,
             "instruction": known.instruction,
             "goals": {itc.itc_id: itc.goal for itc in known.itcs},
+            "bddl": known.bddl and bddl_fingerprint(known.bddl),
             "start": self.plan.data.start,
             "assets": self.pack,
             "cameras": list(self.plan.data.cameras),

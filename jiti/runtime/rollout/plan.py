@@ -7,7 +7,7 @@ from typing import Any, get_args
 from jiti.errors import UsageError
 from jiti.runtime.guidance import Guidance, Method, Pick
 from jiti.runtime.sim.env import MOST_STEPS
-from jiti.runtime.sim.libero import pack_name
+from jiti.runtime.sim.libero import bddl_fingerprint, pack_fingerprint, pack_name
 from jiti.runtime.sim.scene import CAMERAS, CONTROL_HZ, Start
 from jiti.tasks.task import Task
 
@@ -96,14 +96,18 @@ class RolloutPlan:
         return f"{self.task.task_id.replace('/', '-')}_{self.seed + number:04d}"
 
     def shared(self) -> dict[str, Any]:
-        """What all rollouts of a folder must have in common, beside the policy's weights."""
+        """What all rollouts of a folder must have in common, beside the policy's weights. Raises UsageError where the
+        scene's files are not there."""
+        assert self.task.bddl is not None
         return {
             "task": self.task.task_id,
             "instruction": self.task.instruction,
             "goals": {itc.itc_id: itc.goal for itc in self.task.itcs},
             "seed": self.seed,
             "start": self.start,
+            "bddl": bddl_fingerprint(self.task.bddl),
             "assets": pack_name(self.assets),
+            "pack": pack_fingerprint(self.assets),
             "cameras": list(self.cameras),
             "most_steps": self.most_steps,
             "rate_hz": CONTROL_HZ,

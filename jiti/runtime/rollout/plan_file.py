@@ -71,7 +71,7 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
     path = folder / ROLLOUTS_FILE
     before: dict[str, Any] = {}
     if path.exists():
-        before = _played_before(folder)
+        before = _played_before(folder, shared)
     if before:
         known = {label: before["methods"][label] for label in methods if label in before["methods"]}
         there = {**before["shared"], **_flat(known)}
@@ -95,11 +95,14 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
     return content
 
 
-def _played_before(folder: Path) -> dict[str, Any]:
-    """The folder's plan with the guidances of which something was played; empty where nothing was."""
+def _played_before(folder: Path, shared: Mapping[str, Any]) -> dict[str, Any]:
+    """The folder's plan with the guidances of which something was played; empty where nothing was. What it does not say
+    is as in `shared`, a plan's."""
     content = read_plan(folder)
     if content["runs"]:  # where it is not shared yet, an older jiti wrote the device with each run
         content["shared"].setdefault("device", content["runs"][0].get("device"))
+    for key in ("bddl", "pack"):  # of which an older jiti said nothing
+        content["shared"].setdefault(key, shared[key])
     methods = {label: one for label, one in content["methods"].items() if _has_rollouts(folder / label)}
     return {**content, "methods": methods} if methods else {}
 

@@ -31,7 +31,8 @@ from jiti.runtime.rollout.result import (
 from jiti.runtime.sim.engine import find_robosuite
 from jiti.runtime.sim.env import ElegantEnv
 from jiti.runtime.sim.gl import Graphics, find_graphics
-from jiti.runtime.sim.libero import bddl_file, pack_folder
+from jiti.runtime.sim.libero import bddl_file, pack_folder, pack_name
+from jiti.runtime.sim.scene import CONTROL_HZ
 from jiti.runtime.workers import alone, check_stop, in_processes, remove_leftovers
 
 
@@ -64,10 +65,12 @@ class Job:
 
     def about(self) -> dict[str, str]:
         """What is written in the recording of what made it: no path of this machine."""
-        shared = self.plan.shared()
         guidance = self.plan.guidance(self.label)
         return {
-            **{key: str(shared[key]) for key in ("task", "start", "assets", "rate_hz")},
+            "task": self.plan.task.task_id,
+            "start": self.plan.start,
+            "assets": pack_name(self.plan.assets),
+            "rate_hz": str(CONTROL_HZ),
             "seed": str(self.seed),
             "goals": " ".join(itc.goal for itc in self.plan.task.itcs),
             "cameras": " ".join(self.plan.cameras),

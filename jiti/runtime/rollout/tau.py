@@ -22,7 +22,7 @@ from jiti.runtime.rollout.plan import RolloutPlan
 from jiti.runtime.rollout.plan_file import critic_folder, fingerprint, policy_folder
 from jiti.runtime.rollout.result import Rollout
 from jiti.runtime.rollout.run import run_rollouts
-from jiti.runtime.sim.libero import pack_name
+from jiti.runtime.sim.libero import bddl_fingerprint, pack_fingerprint
 
 INTERVENTION_RATE = 0.339
 """Share of decisions that are to trigger; supplement G.6."""
@@ -52,6 +52,7 @@ class Calibration:
     tasks: tuple[str, ...]
     start: str
     assets: str
+    """Fingerprint of the asset pack."""
     cameras: tuple[str, ...]
     """Rendered; without any, neither policy nor critic looked at pictures."""
     most_steps: int
@@ -63,11 +64,13 @@ class Calibration:
     decisions: int
     made: str = ""
     """When, in UTC."""
+    bddl: tuple[str, ...] = ()
+    """Fingerprints of the tasks' problem files; none where an older jiti calibrated."""
 
     def unlike(self, plan: RolloutPlan, window: int, policy: str, critic: str, episodes: int) -> str:
         """Why this is not for the rollouts of a plan; empty where it is."""
         wanted = {"window": window, "policy": policy, "critic": critic}
-        wanted |= {"start": plan.start, "assets": pack_name(plan.assets), "most_steps": plan.most_steps}
+        wanted |= {"start": plan.start, "assets": pack_fingerprint(plan.assets), "most_steps": plan.most_steps}
         for name, value in wanted.items():
             if getattr(self, name) != value:
                 return f"it was calibrated with {name} {getattr(self, name)} and not {value}"
@@ -77,6 +80,10 @@ class Calibration:
             )
         if plan.task.task_id not in self.tasks:
             return f"it was calibrated on {', '.join(self.tasks)}"
+        assert plan.task.bddl is not None
+        scene = bddl_fingerprint(plan.task.bddl)
+        if scene not in self.bddl:
+            return f"it was calibrated in {', '.join(self.bddl) or 'an unknown scene'} and not {scene}"
         if max(self.seeds[0], plan.seed) < min(self.seeds[1], plan.seed + episodes):
             return f"its seeds {self.seeds[0]} to {self.seeds[1] - 1} are among those that are to be evaluated"
         return ""
@@ -135,13 +142,14 @@ def calibrate(
         fingerprint(critic_folder(first.critic)),
         tuple(plan.task.task_id for plan in plans),
         first.start,
-        pack_name(first.assets),
+        pack_fingerprint(first.assets),
         first.cameras,
         first.most_steps,
         (first.seed, first.seed + episodes),
         len(played),
         len(delta_q),
         datetime.now(UTC).isoformat(timespec="seconds"),
+        tuple(bddl_fingerprint(plan.task.bddl) for plan in plans if plan.task.bddl is not None),
     )
 
 
@@ -164,7 +172,7 @@ def save_calibration(path: Path, found: Calibration) -> None:
     """
 
     def key(one: Calibration) -> tuple[Any, ...]:
-        played = (one.tasks, one.start, one.assets, one.cameras, one.most_steps)
+        played = (one.tasks, one.bddl, one.start, one.assets, one.cameras, one.most_steps)
         return (one.rate, one.window, one.policy, one.critic, *played)
 
     kept = [one for one in load_calibrations(path) if one.critic == found.critic and key(one) != key(found)]
@@ -184,7 +192,9 @@ def load_calibrations(path: Path) -> list[Calibration]:
         if content["version"] > _VERSION:
             raise ValueError(f"version {content['version']}; this jiti reads {_VERSION}")
         return [
-            Calibration(**row | {name: tuple(row[name]) for name in ("tasks", "cameras", "seeds")})
+            Calibration(
+                **row | {name: tuple(row[name]) for name in ("tasks", "cameras", "seeds", "bddl") if name in row}
+            )
             for row in content["calibrations"]
         ]
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -6,6 +6,7 @@ the time of this process, and the asset pack is named before anything is built.
 """
 
 import contextlib
+import hashlib
 import importlib
 import importlib.util
 import io
@@ -17,6 +18,8 @@ import sys
 import tempfile
 import warnings
 import zipfile
+from functools import cache
+from importlib.metadata import version
 from multiprocessing.util import Finalize
 from pathlib import Path
 from types import ModuleType
@@ -24,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from jiti import __version__
 from jiti.errors import UsageError
 from jiti.runtime.sim.engine import import_robosuite
 from jiti.runtime.sim.gl import Graphics
@@ -79,9 +83,29 @@ def pack_name(assets: Path | str | None) -> str:
     return "libero" if folder is None else "primitive" if folder == PRIMITIVE else f"{folder.name}/"
 
 
+def pack_fingerprint(assets: Path | str | None) -> str:
+    """An asset pack by what is in it: a folder by its name and the names and sizes of its files, wherever it lies; one
+    that is installed by name and version. Raises UsageError when it is no pack."""
+    folder = pack_folder(assets)
+    if folder is None:
+        return f"{DOWNLOADED} {version('hf-libero')}"
+    if folder == PRIMITIVE:
+        return f"{pack_name(assets)} {__version__}"
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        digest.update(f"{path.relative_to(folder).as_posix()}\0{path.stat().st_size}\0".encode())
+    return f"{folder.name}/ {digest.hexdigest()[:16]}"
+
+
 def bddl_file(name: str) -> Path:
     """LIBERO's problem file of a task, by `suite/name`. Raises UsageError when it is not installed."""
     return _shipped("bddl_files", f"{name}.bddl")
+
+
+@cache
+def bddl_fingerprint(name: str) -> str:
+    """A problem file by its name and content. Raises UsageError when it is not installed."""
+    return f"{name} {hashlib.sha256(bddl_file(name).read_bytes()).hexdigest()[:16]}"
 
 
 def instructions() -> list[tuple[str, str]]:

@@ -13,6 +13,7 @@ from jiti.runtime.benchmark.command import report, run_chain
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, CriticPlan, DataPlan, PolicyPlan, RolloutsPlan
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.stages import in_order
+from jiti.tasks.catalogue import Catalogue
 from tests.builders.benchmark import Pretended, chain_of
 
 PLAN = BenchmarkPlan(
@@ -109,6 +110,26 @@ def test_times_are_of_rollouts_that_were_played_for_them(tmp_path):
     )
     assert {kind for kind, _ in after - before} == {"rollouts"}
     assert {kind for kind, _ in after & before} == {"record", "autolabel", "curate", "policies", "critics", "tau"}
+
+
+def test_another_scene_or_asset_pack_of_the_same_name_makes_everything_anew(pretended, tmp_path):
+    packs = [tmp_path / name / "assets" for name in ("one", "other")]
+    for place, pack in enumerate(packs):
+        (pack / "scenes").mkdir(parents=True)
+        (pack / "scenes" / "table.xml").write_bytes(b"x" * place)
+    chain = chain_of(PLAN, tmp_path / "work")
+    moved = tuple(
+        replace(task, bddl="libero_goal/push_the_plate_to_the_front_of_the_stove")
+        if task.task_id == "elegant/T2"
+        else task
+        for task in chain.catalogue
+    )
+    chains = [replace(chain, assets=str(pack)) for pack in packs] + [replace(chain, catalogue=Catalogue(moved))]
+    keys = [{stage.key for stage in in_order(cell.stage for cell in one.cells())} for one in (chain, *chains)]
+    assert not set.intersection(keys[0], keys[1])
+    assert not set.intersection(keys[1], keys[2])
+    names = {stage.name for stage in in_order(c.stage for c in chain.cells()) if stage.key in keys[0] & keys[3]}
+    assert names == {"elegant-T0"}, "recordings and labels of the task that is the same"
 
 
 def test_what_people_decide_makes_another_dataset(pretended, tmp_path):

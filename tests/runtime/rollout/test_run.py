@@ -250,6 +250,27 @@ def test_folders_in_which_each_run_has_its_device_are_gone_on_with(plan, tmp_pat
         enter_plan(tmp_path, replace(plan, device="cuda"))
 
 
+def test_a_folder_is_of_one_scene_and_one_asset_pack_whatever_they_are_called(plan, tmp_path):
+    packs = [tmp_path / name / "assets" for name in ("one", "other")]
+    for place, pack in enumerate(packs):
+        (pack / "scenes").mkdir(parents=True)
+        (pack / "scenes" / "table.xml").write_bytes(b"x" * place)
+    one = replace(plan, assets=str(packs[0]))
+    enter_plan(tmp_path, one)
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none/elegant-T2_0007.json").touch()
+    with pytest.raises(UsageError, match=r"pack 'assets/ [0-9a-f]+' and not 'assets/ [0-9a-f]+'"):
+        enter_plan(tmp_path, replace(plan, assets=str(packs[1])))
+    other = replace(TASK, bddl="libero_goal/push_the_plate_to_the_front_of_the_stove")
+    with pytest.raises(UsageError, match=r"bddl 'libero_goal/put_the_bowl.* and not 'libero_goal/push_the_plate"):
+        enter_plan(tmp_path, replace(one, task=other))
+    told = json.loads((tmp_path / "plan.json").read_text())
+    for key in ("bddl", "pack"):  # as an older jiti wrote it
+        del told["shared"][key]
+    (tmp_path / "plan.json").write_text(json.dumps(told, indent=2))
+    assert enter_plan(tmp_path, one)["shared"]["pack"].startswith("assets/ ")
+
+
 def test_a_run_without_a_critic_leaves_the_one_that_guided_others(plan, tmp_path):
     out = tmp_path / "out"
     (out / "none").mkdir(parents=True)

@@ -20,10 +20,28 @@ from jiti.runtime.rollout.tau import (
     stored_tau,
     tau_path,
 )
+from jiti.runtime.sim.libero import bddl_fingerprint, pack_fingerprint
 from tests.builders.rollout_agents import wandering
 from tests.runtime.rollout.conftest import NONE, STEPS, write_critic
 
-FOUND = Calibration(0.5, 0.3, 0.29, 5, "p", "c", ("elegant/T2",), "jitter", "primitive", (), STEPS, (100, 110), 10, 200)
+SCENE = bddl_fingerprint("libero_goal/put_the_bowl_on_the_plate")
+FOUND = Calibration(
+    0.5,
+    0.3,
+    0.29,
+    5,
+    "p",
+    "c",
+    ("elegant/T2",),
+    "jitter",
+    pack_fingerprint("primitive"),
+    (),
+    STEPS,
+    (100, 110),
+    10,
+    200,
+    bddl=(SCENE,),
+)
 
 
 @pytest.mark.sim
@@ -69,6 +87,11 @@ def test_it_is_taken_only_for_what_it_was_measured_on(plan, tmp_path):
         found, why = stored_tau(path, other, window=4 if "window" in said else 5, episodes=episodes)
         assert found is None
         assert said in why
+    for gone, said in (
+        ({"bddl": ()}, "in an unknown scene and not libero_goal/put"),
+        ({"assets": "primitive"}, "assets"),
+    ):
+        assert said in replace(fits, **gone).unlike(plan, 5, policy, critic, 50)
     for first in (50, 110):
         assert stored_tau(path, replace(plan, seed=first), window=5, episodes=50)[0] == fits
     # Without cameras no one looked at pictures, so more of them change nothing; with some it depends on which.
