@@ -33,11 +33,15 @@ def rollout(task: str, label: str, seed: int, outcome: tuple[bool, bool, int]) -
     return Rollout(task, label, method, pick or "best", seed, success, elegant, False, 101, (), choices, 1.0, 2.0)
 
 
-def write_rollouts(folder: Path, task: str, outcomes: Mapping[str, Outcomes]) -> None:
-    """`rollouts.parquet` of a group of cells, by label."""
+def write_rollouts(
+    folder: Path, task: str, outcomes: Mapping[str, Outcomes], *, policy: str = "p", critic: str | None = None
+) -> None:
+    """`rollouts.parquet` of a group of cells, by label, of weights with these fingerprints."""
     folder.mkdir(parents=True, exist_ok=True)
     write_tables(
-        folder, [rollout(task, label, seed, one) for label, many in outcomes.items() for seed, one in many.items()]
+        folder,
+        [rollout(task, label, seed, one) for label, many in outcomes.items() for seed, one in many.items()],
+        {label: {"policy": policy, "critic": critic} for label in outcomes},
     )
 
 

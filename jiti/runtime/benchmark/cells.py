@@ -15,6 +15,8 @@ from jiti.runtime.rollout.result import ROLLOUTS
 from jiti.runtime.rollout.summary import bootstrap_interval, mcnemar, wilson
 
 _COLUMNS = ["label", "seed", "success", "elegant", "decisions", "interventions", "problems"]
+_TRAINED = {"policies": "policy", "critics": "critic"}
+"""Columns with fingerprints, by the kind of stage that made what played."""
 _TIMES = ["observe_s", "sample_s", "score_s", "wall_s"]
 
 
@@ -78,8 +80,10 @@ class Results:
 def read_cells(cells: Sequence[Cell], folders: Mapping[str, Path], *, first: int, episodes: int) -> Results:
     """The rollouts with seeds `first` to `first + episodes - 1` of each cell. `folders` are by the key of the stage.
 
-    Raises SourceError for a table that cannot be read, or that has a rollout twice.
+    Raises SourceError for a table that cannot be read, or that has a rollout twice, and where a policy or critic of the
+    plan played with the weights of two trainings.
     """
+    seeds = range(first, first + episodes)
     tables: dict[str, pa.Table | None] = {}
     whole: dict[tuple[str, str, int], list[One]] = {}
     for cell in cells:
@@ -87,9 +91,10 @@ def read_cells(cells: Sequence[Cell], folders: Mapping[str, Path], *, first: int
         if cell.stage.key not in tables:
             tables[cell.stage.key] = _table(folders[cell.stage.key] / ROLLOUTS)
         table = tables[cell.stage.key]
-        own = _rollouts(table, cell, range(first, first + episodes)) if table is not None else []
+        own = _rollouts(table, cell, seeds) if table is not None else []
         if len(own) == episodes:
             whole[key] = own
+    _check_trainings(cells, tables, folders, seeds)
     wanted = [(cell.column.name, cell.task, cell.seed) for cell in cells]
     return Results(whole, wanted, episodes)
 
@@ -98,7 +103,7 @@ def _table(path: Path) -> pa.Table | None:
     if not path.exists():
         return None
     try:
-        return pq.read_table(path, columns=[*_COLUMNS, *_TIMES])
+        return pq.read_table(path, columns=[*_COLUMNS, *_TIMES, *_TRAINED.values()])
     except (OSError, pa.ArrowException) as error:
         raise SourceError(
             f"{path} cannot be read: {str(error)[:200]}. Delete its folder, and it is played anew."
@@ -125,6 +130,30 @@ def _rollouts(table: pa.Table, cell: Cell, seeds: range) -> list[One]:
             row["wall_s"],
         )
     return [found[seed] for seed in sorted(found)]
+
+
+def _check_trainings(
+    cells: Sequence[Cell], tables: Mapping[str, pa.Table | None], folders: Mapping[str, Path], seeds: range
+) -> None:
+    """Raises SourceError where a policy or critic was deleted and trained again, and played before and after that."""
+    found: dict[str, dict[str, dict[str, None]]] = {}
+    for cell in cells:
+        table = tables[cell.stage.key]
+        if table is None:
+            continue
+        for needed in (stage for stage in cell.stage.needs if stage.kind in _TRAINED):
+            played = found.setdefault(needed.folder, {})
+            for row in table.select(["label", "seed", _TRAINED[needed.kind]]).to_pylist():
+                mark = row[_TRAINED[needed.kind]]
+                if row["label"] == cell.label and row["seed"] in seeds and mark:
+                    played.setdefault(mark, {})[str(folders[cell.stage.key])] = None
+    for name, played in found.items():
+        if len(played) > 1:
+            told = "; ".join(f"{mark} in {', '.join(where)}" for mark, where in played.items())
+            raise SourceError(
+                f"{name} was trained again after something was played with it, and what different weights played is "
+                f"not compared: {told}. Delete the folders of the older weights, and they are played anew."
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,9 @@ from jiti.progress import Progress
 from jiti.runtime.rollout.agent import OpenAgent, open_agent
 from jiti.runtime.rollout.drawing import Branch, write_branches
 from jiti.runtime.rollout.plan import RolloutPlan
-from jiti.runtime.rollout.result import Rollout, load_result, outcome_text, without_nan, write_tables
+from jiti.runtime.rollout.result import Rollout, load_result, outcome_text, without_nan
 from jiti.runtime.rollout.run import (
     Job,
-    all_rollouts,
     check_simulation,
     close_all,
     enter_jobs,
@@ -29,6 +28,7 @@ from jiti.runtime.rollout.run import (
     is_whole,
     make_out,
     play_job,
+    tabulate,
 )
 from jiti.runtime.workers import alone
 
@@ -93,7 +93,7 @@ def branch(
                 rollouts.append(_played(job))
         finally:
             close_all()
-            write_tables(folder, all_rollouts(folder))
+            tabulate(folder)
     first = rollouts[0]
     frame = _same_until(rollouts)
     recording = folder / f"{branches[0].recording.stem}.rrd"

@@ -11,9 +11,8 @@ from jiti.runtime.rollout.decide import Decided
 from jiti.runtime.rollout.drawing import draw_decision, draw_state, live_recording
 from jiti.runtime.rollout.plan import RolloutPlan
 from jiti.runtime.rollout.play import Watcher
-from jiti.runtime.rollout.result import Rollout, outcome_text, write_tables
+from jiti.runtime.rollout.result import Rollout, outcome_text
 from jiti.runtime.rollout.run import (
-    all_rollouts,
     check_simulation,
     close_all,
     enter_jobs,
@@ -22,6 +21,7 @@ from jiti.runtime.rollout.run import (
     make_out,
     play_job,
     results,
+    tabulate,
 )
 from jiti.runtime.rollout.viewer import Viewer
 from jiti.runtime.sim.env import ElegantEnv
@@ -88,7 +88,7 @@ def watch_live(
                 shown.wait()
         finally:
             close_all()
-            write_tables(folder, all_rollouts(folder))
+            tabulate(folder)
             if shown:
                 shown.close()
     return results(jobs)

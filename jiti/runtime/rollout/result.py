@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -162,16 +162,19 @@ def without_nan(value: Any) -> Any:
 
 _VERDICT = pa.struct([("itc", pa.string()), ("satisfied", pa.bool_()), ("step", pa.int64()), ("reason", pa.string())])
 _KEY = [(name, pa.string()) for name in ("task", "label", "method", "pick")] + [("seed", pa.int64())]
+FINGERPRINTS = ("policy", "critic")
 ROLLOUT_SCHEMA = pa.schema(
     [
         *_KEY,
+        *((name, pa.string()) for name in FINGERPRINTS),
         *((name, pa.bool_()) for name in ("success", "elegant", "cut_off")),
         ("itcs", pa.list_(_VERDICT)),
         *((name, pa.int64()) for name in ("steps", "decisions", "interventions", "problems")),
         *((name, pa.float64()) for name in ("observe_s", "sample_s", "score_s", "sim_s", "wall_s")),
     ]
 )
-"""`rollouts.parquet`: a row an episode. Times in seconds, summed over the episode; `steps` counts states."""
+"""`rollouts.parquet`: a row an episode. Times in seconds, summed over the episode; `steps` counts states; `policy` and
+`critic` are fingerprints, as in `plan.json`, null for a critic that was not asked."""
 DECISION_SCHEMA = pa.schema(
     [
         *_KEY,
@@ -187,9 +190,12 @@ DECISION_SCHEMA = pa.schema(
 """`decisions.parquet`: a row a decision; null where the critic was not asked or gave no number."""
 
 
-def write_tables(folder: Path, rollouts: Sequence[Rollout]) -> None:
-    """Write both tables, in the order given. Raises SaveFailed."""
-    rows = [_row(rollout) for rollout in rollouts]
+def write_tables(
+    folder: Path, rollouts: Sequence[Rollout], played_by: Mapping[str, Mapping[str, str | None]] | None = None
+) -> None:
+    """Write both tables, in the order given. `played_by` are fingerprints of policy and critic by label. Raises
+    SaveFailed."""
+    rows = [_row(rollout) | dict((played_by or {}).get(rollout.label, {})) for rollout in rollouts]
     decisions = [_key(r) | without_nan(asdict(choice)) for r in rollouts for choice in r.choices]
     for name, content, schema in ((ROLLOUTS, rows, ROLLOUT_SCHEMA), (DECISIONS, decisions, DECISION_SCHEMA)):
         with replacing(folder / name) as temporary:

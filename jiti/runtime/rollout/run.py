@@ -116,7 +116,7 @@ def run_rollouts(
                     share = (len(jobs) - len(missing) + count) / len(jobs)
                     report(share, f"played {job.label} {job.plan.stem(job.number)}")
         finally:
-            write_tables(folder, all_rollouts(folder))
+            tabulate(folder)
     return results(jobs)
 
 
@@ -183,6 +183,16 @@ def all_rollouts(folder: Path) -> list[Rollout]:
     """Every whole rollout of a folder, by guidance, then seed. Raises SourceError."""
     labels = sorted(read_plan(folder)["methods"])
     return [load_result(path) for label in labels for path in sorted((folder / label).glob(f"[!.]*{RESULT_SUFFIX}"))]
+
+
+def tabulate(folder: Path) -> None:
+    """Write the tables of every whole rollout of a folder. Raises SourceError, SaveFailed."""
+    entered = read_plan(folder)
+    played_by = {
+        label: {"policy": entered["shared"]["policy"], "critic": settings.get("critic")}
+        for label, settings in entered["methods"].items()
+    }
+    write_tables(folder, all_rollouts(folder), played_by)
 
 
 def play_job(job: Job, watchers: Sequence[Watcher] = ()) -> Rollout:

@@ -270,6 +270,31 @@ def test_a_table_that_cannot_be_read_is_named(tmp_path):
         read_cells([cell], {cell.stage.key: path.parent}, first=100, episodes=4)
 
 
+def test_cells_of_a_policy_that_was_trained_again_are_not_set_beside_each_other(tmp_path):
+    policy, critic = Stage("policies", "all-0", {}), Stage("critics", "segments", {})
+    alone, guided = Stage("rollouts", "T0-none", {}, (policy,)), Stage("rollouts", "T0-jiti", {}, (policy, critic))
+    cells = [Cell(BASE, T0, 0, alone, "none"), Cell(JITI, T0, 0, guided, "jiti")]
+    folders = {stage.key: tmp_path / stage.folder for stage in (alone, guided)}
+
+    def write(stage: Stage, label: str, weights: str, seed: int = 100) -> None:
+        outcomes = {label: {seed: (True, True, 0)}, "other": {100: (True, True, 0)}}
+        write_rollouts(folders[stage.key], T0, outcomes, policy=weights, critic=None if stage is alone else "c")
+
+    def read() -> Results:
+        return read_cells(cells, folders, first=100, episodes=1)
+
+    write(alone, "none", "old")
+    assert len(read().cells) == 1
+    write(guided, "jiti", "new")
+    said = rf"{policy.folder} was trained again.*old in \S*/T0-none-.*; new in \S*/T0-jiti-.*Delete the folders"
+    with pytest.raises(SourceError, match=said):
+        read()
+    write(guided, "jiti", "new", seed=101)
+    assert len(read().cells) == 1, "what is not counted does not matter"
+    write(guided, "jiti", "old")
+    assert read().missing() == []
+
+
 def _table(report, title: str) -> TextTable:
     (section,) = [section for section in report.sections if section.title == title]
     (table,) = [part for part in section.parts if isinstance(part, TextTable)]

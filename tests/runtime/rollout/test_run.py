@@ -64,6 +64,12 @@ def test_each_episode_is_a_row_a_recording_and_its_decisions(played):
     assert [(r.label, r.seed) for r in rollouts] == [(m, s) for m in ("none", "jiti", "full") for s in (7, 8)]
     rows = pq.read_table(out / "rollouts.parquet").to_pylist()
     assert {(r["label"], r["seed"], r["task"]) for r in rows} == {(r.label, r.seed, "elegant/T2") for r in rollouts}
+    plan = json.loads((out / "plan.json").read_text())
+    critic = plan["methods"]["jiti"]["critic"]
+    assert {(r["label"], r["policy"], r["critic"]) for r in rows} == {
+        (label, plan["shared"]["policy"], asked)
+        for label, asked in (("none", None), ("jiti", critic), ("full", critic))
+    }
     assert all(r["steps"] == STEPS + 1 and r["cut_off"] and not r["success"] for r in rows)
     assert {v["itc"] for r in rows for v in r["itcs"]} == {TASK.itcs[0].itc_id}
     decisions = pq.read_table(out / "decisions.parquet").to_pylist()
