@@ -1,6 +1,5 @@
 """Rollouts that nobody played, and a chain whose stages only say that they were done."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,13 +13,15 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan
 from jiti.runtime.benchmark.playing import Game, Table
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.rollout.plan import label_of
+from jiti.runtime.rollout.plan_file import TAU_FILE
 from jiti.runtime.rollout.result import Choice, Rollout, write_tables
-from jiti.runtime.rollout.tau import Calibration
+from jiti.runtime.rollout.tau import Calibration, save_calibration
 from jiti.tasks.catalogue import load_catalogue
 
 Outcomes = Mapping[int, tuple[bool, bool, int]]
 """By seed: success, elegance, interventions."""
 DECISIONS = 10
+FOUND = Calibration(0.5, 0.3, 0.281, 5, "", "", (), "jitter", "primitive", (), 600, (0, 1), 1, 10)
 
 
 def rollout(task: str, label: str, seed: int, outcome: tuple[bool, bool, int]) -> Rollout:
@@ -95,14 +96,14 @@ class Pretended:
 
     def _tau(self, stage: Stage) -> Calibration:
         self.done.append(f"tau {stage.name}")
-        return Calibration(0.5, 0.3, 0.281, 5, "", "", (), "jitter", "primitive", (), 600, (0, 1), 1, 10)
+        return FOUND
 
     def _play(self, games: Sequence[Game], _workers: int, progress: Progress) -> None:
         for place, game in enumerate(games):
             progress((place + 1) / len(games), f"playing {game.folder.name}")
             labels = game.plan.labels
             if game.plan.guidances[0].tau == float("inf"):
-                (game.folder.parent / "tau.json").write_text(json.dumps({"tau": 0.5}))
+                save_calibration(game.folder.parent / TAU_FILE, FOUND)
                 continue
             self.done.append(f"play {game.plan.task.task_id} {','.join(labels)}")
             for guidance in game.plan.guidances:

@@ -4,17 +4,16 @@ Where there are many groups of cells, each core plays groups of its own, for to 
 episode; where there are few, a group's episodes are spread over the cores.
 """
 
-import json
 import threading
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jiti.durable import make_folder, write_atomic
+from jiti.durable import make_folder
 from jiti.errors import SourceError
 from jiti.progress import Progress
 from jiti.runtime.benchmark.kept import Work
@@ -22,14 +21,21 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.guidance import Guidance
 from jiti.runtime.rollout.plan import RolloutPlan, label_of
+from jiti.runtime.rollout.plan_file import TAU_FILE
 from jiti.runtime.rollout.result import ROLLOUTS
 from jiti.runtime.rollout.run import run_rollouts
-from jiti.runtime.rollout.tau import Calibration, calibrate, save_calibration, tau_path
+from jiti.runtime.rollout.tau import (
+    Calibration,
+    calibrate,
+    load_calibrations,
+    looking,
+    looking_folder,
+    save_calibration,
+    tau_path,
+)
 from jiti.runtime.workers import in_processes
 from jiti.tasks.catalogue import Catalogue
 
-TAU = "tau.json"
-"""In the folder of a calibration."""
 POLL_S = 2.0
 
 
@@ -91,44 +97,18 @@ class Table:
 
     def game(self, stage: Stage, columns: Sequence[Column], tau: float | None) -> Game:
         """The cells of a stage of rollouts."""
-        critic = next((self.work.folder(needed) for needed in stage.needs if needed.kind == "critics"), None)
         guidances = tuple({label(c): guidance_of(c, self.plan, tau) for c in columns}.values())
-        rollouts = RolloutPlan(
-            self.catalogue.task(stage.inputs["task"]),
-            str(self.work.folder(stage.needed("policies"))),
-            str(critic) if critic else None,
-            guidances,
-            self.plan.seed,
-            self.plan.data.start,
-            self.assets,
-            self.plan.data.cameras,
-            self.plan.rollouts.most_steps,
-            self.plan.rollouts.device,
-        )
-        return Game(rollouts, self.work.folder(stage), self.plan.episodes, self.record)
+        plan = self._plan(stage, stage.inputs["task"], self.plan.seed, guidances)
+        return Game(plan, self.work.folder(stage), self.plan.episodes, self.record)
 
     def looking(self, stage: Stage) -> list[Game]:
         """Unguided episodes, in which the critic values the default chunk, for a stage of tau; one game a task."""
-        looking = Guidance("jiti", window=self.plan.rollouts.window, tau=float("inf"))
-        return [
-            Game(
-                RolloutPlan(
-                    self.catalogue.task(scene["task"]),
-                    str(self.work.folder(stage.needed("policies"))),
-                    str(self.work.folder(stage.needed("critics"))),
-                    (looking,),
-                    self.plan.tau.seed,
-                    self.plan.data.start,
-                    self.assets,
-                    self.plan.data.cameras,
-                    self.plan.rollouts.most_steps,
-                    self.plan.rollouts.device,
-                ),
-                self.work.folder(stage) / scene["task"].replace("/", "-"),
-                self.plan.tau.episodes,
-            )
-            for scene in stage.inputs["tasks"]
-        ]
+        games = []
+        for scene in stage.inputs["tasks"]:
+            plan = self._plan(stage, scene["task"], self.plan.tau.seed)
+            folder = looking_folder(self.work.folder(stage), plan)
+            games.append(Game(looking(plan, self.plan.rollouts.window), folder, self.plan.tau.episodes))
+        return games
 
     def find_tau(self, stage: Stage) -> Calibration:
         """tau of episodes that are played, kept in the stage's folder and with the critic. Raises JitiError."""
@@ -141,20 +121,38 @@ class Table:
             episodes=self.plan.tau.episodes,
             workers=1,
         )
-        write_atomic(self.work.folder(stage) / TAU, json.dumps(asdict(found), indent=1).encode())
         critic = games[0].plan.critic
         assert critic is not None
-        save_calibration(tau_path(critic, self.work.folder(stage)), found)
+        for path in {self.work.folder(stage) / TAU_FILE, tau_path(critic, self.work.folder(stage))}:
+            save_calibration(path, found)
         return found
+
+    def _plan(
+        self, stage: Stage, task: str, seed: int, guidances: tuple[Guidance, ...] = (Guidance("none"),)
+    ) -> RolloutPlan:
+        """With the policy and, where there is one, the critic that a stage needs."""
+        critic = next((self.work.folder(needed) for needed in stage.needs if needed.kind == "critics"), None)
+        return RolloutPlan(
+            self.catalogue.task(task),
+            str(self.work.folder(stage.needed("policies"))),
+            str(critic) if critic else None,
+            guidances,
+            seed,
+            self.plan.data.start,
+            self.assets,
+            self.plan.data.cameras,
+            self.plan.rollouts.most_steps,
+            self.plan.rollouts.device,
+        )
 
 
 def kept_tau(folder: Path) -> float:
     """Of a calibration's folder. Raises SourceError."""
     try:
-        return float(json.loads((folder / TAU).read_bytes())["tau"])
-    except (OSError, ValueError, KeyError) as error:
+        return load_calibrations(folder / TAU_FILE)[-1].tau
+    except (SourceError, IndexError) as error:
         raise SourceError(
-            f"{folder / TAU} cannot be read: {error!r}. Delete {folder}, and tau is found anew."
+            f"{folder} has no tau that can be read. Delete that folder, and tau is found anew."
         ) from error
 
 

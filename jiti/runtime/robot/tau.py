@@ -13,7 +13,7 @@ from jiti.durable import write_atomic
 from jiti.errors import SourceError, UsageError
 from jiti.runtime.guidance import calibrated_tau
 from jiti.runtime.robot.recording import DECISIONS
-from jiti.runtime.rollout.tau import TAU_FILE
+from jiti.runtime.rollout.plan_file import TAU_FILE
 
 REMEDY = "pass --calibrate-tau 0.339 (G.6) and some --episodes of their own, or --tau."
 

@@ -20,7 +20,9 @@ from jiti.runtime.rollout.result import RECORDING_SUFFIX, RESULT_SUFFIX
 PACKAGES = ("lerobot", "torch", "mujoco", "robosuite", "hf-libero", "numpy")
 """Whose versions may change a number."""
 _WEIGHTS = ("*.json", "*.safetensors")
-_OF_TRAINING = frozenset({"train_config.json", "tau.json"})
+TAU_FILE = "tau.json"
+"""Thresholds that were calibrated, beside a critic's weights."""
+_OF_TRAINING = frozenset({"train_config.json", TAU_FILE})
 """Files beside the weights that nothing depends on here."""
 
 

@@ -19,7 +19,7 @@ from jiti.progress import Progress
 from jiti.runtime.guidance import Guidance, calibrated_tau
 from jiti.runtime.rollout.agent import OpenAgent, open_agent
 from jiti.runtime.rollout.plan import RolloutPlan
-from jiti.runtime.rollout.plan_file import critic_folder, fingerprint, policy_folder
+from jiti.runtime.rollout.plan_file import TAU_FILE, critic_folder, fingerprint, policy_folder
 from jiti.runtime.rollout.result import Rollout
 from jiti.runtime.rollout.run import run_rollouts
 from jiti.runtime.sim.libero import bddl_fingerprint, pack_fingerprint
@@ -30,7 +30,6 @@ CALIBRATION_SEED = 200_000
 """Of the first episode of calibration. Our choice: away from those of demonstrations and rollouts."""
 CALIBRATION_EPISODES = 20
 """Our choice: some 400 decisions, which place the rate to about 3 points."""
-TAU_FILE = "tau.json"
 _VERSION = 2
 """2: with the share measured, most steps and cameras, without which none is taken."""
 
@@ -89,6 +88,17 @@ class Calibration:
         return ""
 
 
+def looking(plan: RolloutPlan, window: int) -> RolloutPlan:
+    """The plan's unguided episodes, in which the critic values the default chunk: tau is infinite, so it is asked and
+    nothing is done about it."""
+    return replace(plan, guidances=(Guidance("jiti", window=window, tau=float("inf")),))
+
+
+def looking_folder(folder: Path, plan: RolloutPlan) -> Path:
+    """Where these episodes lie in the folder of a calibration of several tasks."""
+    return folder / plan.task.task_id.replace("/", "-")
+
+
 def calibrate(
     plans: Sequence[RolloutPlan],
     folder: Path,
@@ -111,18 +121,15 @@ def calibrate(
     if any(plan.critic is None for plan in plans):
         raise UsageError("tau is a threshold on a critic's values: pass --critic RUN.")
     report = progress or (lambda _share, _what: None)
-    # tau is infinite: the critic is asked, and nothing is done about it.
-    looking = Guidance("jiti", window=window, tau=float("inf"))
     played: list[Rollout] = []
     for place, plan in enumerate(plans):
 
         def part(share: float, what: str, place: int = place) -> None:
             report((place + share) / len(plans), f"calibrating tau: {what}")
 
-        own = folder / plan.task.task_id.replace("/", "-")
         played += run_rollouts(
-            replace(plan, guidances=(looking,)),
-            own,
+            looking(plan, window),
+            looking_folder(folder, plan),
             episodes=episodes,
             workers=workers,
             record=False,

@@ -1,15 +1,19 @@
 """What cells are played with: columns differ in their guidance alone, and start from the same states."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from jiti.errors import SourceError
 from jiti.runtime.benchmark import chain as chain_module
+from jiti.runtime.benchmark import playing
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, DataPlan
 from jiti.runtime.benchmark.plan_file import read_plan, shipped_plans
-from jiti.runtime.benchmark.playing import guidance_of
+from jiti.runtime.benchmark.playing import guidance_of, kept_tau
 from jiti.runtime.guidance import Guidance
-from tests.builders.benchmark import Pretended, chain_of
+from tests.builders.benchmark import FOUND, Pretended, chain_of
 
 TAU = 0.2
 
@@ -49,6 +53,26 @@ def test_the_calibrated_tau_is_what_is_multiplied(tmp_path, monkeypatch):
     chain_of(plan, tmp_path).run()
     calibrated = 0.5  # what a pretended calibration leaves
     assert played == [float("inf"), 0.5 * calibrated, 10 * calibrated]
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_tau_is_kept_with_the_stage_and_with_the_critic_where_that_can_be_written(tmp_path, monkeypatch, writable):
+    chain = chain_of(BenchmarkPlan("one", "One", DataPlan(("elegant/T2",)), (Column("a", method="jiti"),)), tmp_path)
+    (cell,) = chain.cells()
+    stage = cell.stage.needed("tau")
+    critic = chain.work.folder(stage.needed("critics"))
+    for folder in (critic, chain.work.folder(stage)):
+        folder.mkdir(parents=True)
+    monkeypatch.setattr(playing, "calibrate", lambda *_args, **_options: FOUND)
+    monkeypatch.setattr(os, "access", lambda path, _mode: writable or Path(path) != critic)
+    assert chain.table.find_tau(stage) == FOUND
+    assert kept_tau(chain.work.folder(stage)) == FOUND.tau
+    assert (critic / "tau.json").exists() == writable
+    chain.table.find_tau(stage)  # again, where a run was killed before that was remembered
+    assert kept_tau(chain.work.folder(stage)) == FOUND.tau
+    (chain.work.folder(stage) / "tau.json").unlink()
+    with pytest.raises(SourceError, match=r"has no tau that can be read\. Delete that folder"):
+        kept_tau(chain.work.folder(stage))
 
 
 @pytest.mark.parametrize(
