@@ -123,9 +123,9 @@ def curate(
         return
     weigh = None
     if weights_from:
-        from jiti.critic.weigh import weigher
+        from jiti.critic.weigh import Weigher
 
-        weigh = weigher(weights_from)
+        weigh = Weigher(weights_from)
     with progress_bar("Curating") as progress:
         try:
             done = command.run(request, progress, weigh)

@@ -1,13 +1,14 @@
 """`jiti curate --weights-from RUN`: what a critic thinks of each recorded chunk, as weights for `lerobot-train`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from jiti.critic.critic import Critic, load_critic
-from jiti.critic.dataset import ElegantData, read_elegant
-from jiti.critic.features.cache import FeatureCache, feature_cache
+from jiti.critic.critic import load_critic
+from jiti.critic.dataset import read_elegant
+from jiti.critic.features.cache import feature_cache
 from jiti.critic.ranking import check_sizes, recorded_values
 from jiti.critic.settings_file import settings_from
 from jiti.critic.team import usable_device
@@ -21,35 +22,50 @@ UNWEIGHED = (
 """What to do where a critic does not fit a dataset that was just made."""
 
 
-def weigher(run: str | Path, *, features_dir: Path | None = None) -> Callable[[Path, Progress], Path]:
-    """What writes the weights by the critic of a run, a folder or Hub id, into a dataset and says where they are.
+@dataclass(frozen=True, slots=True)
+class Valued:
+    """An episode of a dataset, as a critic sees it."""
 
-    The critic is loaded here, so that one that is missing is told before a dataset is made for it. It is put where
-    there is a GPU. Raises SourceError here for a critic, and there for a dataset, that cannot be read or does not fit.
+    task: str
+    labelled: bool
+    q: np.ndarray
+    """(frames,): of the chunk that was done at each frame."""
+    reward: np.ndarray
+    """(frames,)"""
+
+    @property
+    def progress(self) -> np.ndarray:
+        """(frames,) float32 for `lerobot-train`. What is rewarded in an episode without a label is not known: there it
+        stands still."""
+        return value_progress(self.q, self.reward) if self.labelled else np.zeros(len(self.q), np.float32)
+
+
+class Weigher:
+    """The critic of a run, a folder or Hub id, that values the episodes of datasets. It is put where there is a GPU.
+
+    It is loaded at once, so that one that is missing is told before a dataset is made for it. Raises SourceError for a
+    critic or a dataset that cannot be read, or that do not fit each other.
     """
-    device = str(usable_device("auto"))
-    critic = load_critic(run, device=device)
-    features = settings_from(critic.config["settings"]).data.features
 
-    def weigh(dataset: Path, progress: Progress) -> Path:
+    def __init__(self, run: str | Path, *, features_dir: Path | None = None) -> None:
+        self._device = str(usable_device("auto"))
+        self._critic = load_critic(run, device=self._device)
+        self._features = settings_from(self._critic.config["settings"]).data.features
+        self._features_dir = features_dir
+
+    def values(self, dataset: Path, progress: Progress) -> Iterator[Valued]:
+        """Every episode, in order."""
         data = read_elegant(dataset)
-        cache = feature_cache(data, features, folder=features_dir, device=device, progress=progress)
-        check_sizes(critic, data, cache, UNWEIGHED)
+        cache = feature_cache(data, self._features, folder=self._features_dir, device=self._device, progress=progress)
+        check_sizes(self._critic, data, cache, UNWEIGHED)
+        for episode in range(data.episodes):
+            progress(episode / data.episodes, f"values of episode {episode}")
+            frames = data.frames_of(np.array([episode]))
+            q = recorded_values(self._critic, data, cache, frames)
+            yield Valued(str(data.task[episode]), bool(data.labelled[episode]), q, data.reward[frames])
+
+    def __call__(self, dataset: Path, progress: Progress) -> Path:
+        """Write the weights into a dataset, and say where they are."""
         path = dataset / WEIGHTS_FILE
-        write_weights(path, _progress_of(critic, data, cache, progress))
+        write_weights(path, enumerate(found.progress for found in self.values(dataset, progress)))
         return path
-
-    return weigh
-
-
-def _progress_of(
-    critic: Critic, data: ElegantData, cache: FeatureCache, progress: Progress
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Of every episode, in order. What is rewarded in one without a label is not known: there it stands still."""
-    for episode in range(data.episodes):
-        progress(episode / data.episodes, f"weights of episode {episode}")
-        frames = data.frames_of(np.array([episode]))
-        if data.labelled[episode]:
-            yield episode, value_progress(recorded_values(critic, data, cache, frames), data.reward[frames])
-        else:
-            yield episode, np.zeros(len(frames), np.float32)

@@ -92,7 +92,7 @@ class Pretended:
             self.done.append(f"{stage.kind} {stage.name}")
             progress((place + 1) / len(stages), self.done[-1])
             work.folder(stage).mkdir(parents=True)
-            finished(stage, 1.0, {"auc": 0.75})
+            finished(stage, 1.0, {"auc": 0.75, "episodes": 2})
 
     def _tau(self, stage: Stage) -> Calibration:
         self.done.append(f"tau {stage.name}")

@@ -51,7 +51,7 @@ def _training(chain: Chain, stages: Sequence[Stage]) -> TextTable:
     rows = []
     for stage in stages:
         mark = chain.work.done(stage)
-        data = chain.work.done(stage.needs[0])
+        data = chain.work.done(stage.needed("values" if stage.inputs.get("data") == "filtered" else "curate"))
         kind = "policy" if stage.kind == "policies" else "critic"
         auc = mark.made.get("auc") if mark else None
         rows.append(

@@ -24,7 +24,7 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 from jiti.runtime.benchmark.playing import Game, Table, kept_tau, label, play_all
 from jiti.runtime.benchmark.remaining import Remaining
 from jiti.runtime.benchmark.stages import KINDS, Kind, Stage, Stages, in_order
-from jiti.runtime.benchmark.training import train_all
+from jiti.runtime.benchmark.training import TRAINED, steps, train_all
 from jiti.runtime.sim.libero import pack_fingerprint
 from jiti.tasks.catalogue import Catalogue
 
@@ -111,7 +111,7 @@ class Chain:
             todo |= {kind: [stage for stage in missing if stage.kind == kind] for kind in KINDS[2:]}
         if "curate" in kinds:
             self._each(todo["curate"], remaining.begin("curate"), self._curate)
-        training = [stage for kind in ("critics", "policies") if kind in kinds for stage in todo[kind]]
+        training = [stage for kind in TRAINED if kind in kinds for stage in todo[kind]]
         if training:
             tell = remaining.begin("policies")
             train_all(self.work, training, self.plan, self.workers, self.work.finish, tell)
@@ -156,10 +156,8 @@ class Chain:
                     units[kind] += episodes
                 elif kind == "curate":
                     units[kind] += episodes * len(stage.needs)
-                elif kind == "policies":
-                    units[kind] += stage.inputs["steps"]
-                elif kind == "critics":  # trained side by side with policies, at twice their pace
-                    units["policies"] += stage.inputs["steps"] / 2
+                elif kind in TRAINED:  # side by side with policies
+                    units["policies"] += steps(stage)
                 elif kind == "tau":
                     units[kind] += plan.tau.episodes * len(stage.inputs["tasks"])
                 else:

@@ -18,8 +18,9 @@ from jiti.runtime.rollout.result import RECORDING_SUFFIX, RESULT_SUFFIX
 FOLDERS = {
     "record": "recordings",
     "curate": "datasets",
-    "policies": "policies",
     "critics": "critics",
+    "values": "values",
+    "policies": "policies",
     "tau": "calibrations",
     "rollouts": "rollouts",
 }

@@ -12,8 +12,8 @@ from jiti.runtime.sim.env import MOST_STEPS
 from jiti.runtime.sim.scene import CAMERAS, Start
 
 Data = Literal["all", "filtered", "weighted"]
-"""What a base policy learns from: every demonstration, those with reward 1 (the paper's Filtered Data), or every one
-with weights by its labels (Weighted Data)."""
+"""What a base policy learns from: every demonstration, or what the critic of segments makes of them (supplement G.3):
+the half that it values most (Filtered Data), or all with its weights (Weighted Data)."""
 Rewards = Literal["segments", "sparse"]
 """What a critic learns from: the labelled segments, or 1 at the end of an episode that succeeded."""
 

@@ -10,8 +10,9 @@ CORE_S: Mapping[Kind, float] = {
     "record": 4.0,
     "autolabel": 0.05,
     "curate": 0.1,
-    "policies": 0.05,
     "critics": 0.027,
+    "values": 0.01,
+    "policies": 0.05,
     "tau": 3.0,
     "rollouts": 3.0,
 }

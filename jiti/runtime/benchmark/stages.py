@@ -18,15 +18,13 @@ from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, Data, Rewards
 from jiti.runtime.sim.libero import bddl_fingerprint
 from jiti.tasks.catalogue import Catalogue
 
-Kind = Literal["record", "autolabel", "curate", "policies", "critics", "tau", "rollouts"]
+Kind = Literal["record", "autolabel", "curate", "critics", "values", "policies", "tau", "rollouts"]
 """In the order in which they are done."""
-KINDS: tuple[Kind, ...] = ("record", "autolabel", "curate", "policies", "critics", "tau", "rollouts")
+KINDS: tuple[Kind, ...] = ("record", "autolabel", "curate", "critics", "values", "policies", "tau", "rollouts")
 REPORT = "report"
 """What comes behind them."""
 _VERSION = 1
 """Changes when a stage makes something else of the same inputs."""
-ELEGANT_ONLY = "reward == 1"
-"""The paper's Filtered Data, as a filter of `jiti curate`."""
 
 Reviewed = Callable[["Stage"], str]
 """A fingerprint of what people decided on the labels of recordings; empty without any."""
@@ -84,7 +82,7 @@ class Stages:
     def labels(self, task: str) -> Stage:
         return Stage("autolabel", _plain(task), {}, (self.recordings(task),))
 
-    def dataset(self, tasks: Iterable[str], *, filtered: bool = False) -> Stage:
+    def dataset(self, tasks: Iterable[str]) -> Stage:
         """Of the plan's tasks it is `all`, else `some`."""
         needs = tuple(self.labels(task) for task in tasks)
         curate = self.plan.curate
@@ -92,11 +90,13 @@ class Stages:
             "split": curate.split,
             "seed": curate.seed,
             "gamma": curate.gamma,
-            "filter": ELEGANT_ONLY if filtered else None,
             "reviewed": [self.reviewed(stage) for stage in needs],
         }
-        whole = tuple(tasks) == self.plan.data.tasks
-        return Stage("curate", "filtered" if filtered else "all" if whole else "some", inputs, needs)
+        return Stage("curate", "all" if tuple(tasks) == self.plan.data.tasks else "some", inputs, needs)
+
+    def values(self) -> Stage:
+        """What the critic of segments thinks of the demonstrations that base policies learn from."""
+        return Stage("values", "segments", {}, (self.dataset(self.plan.data.tasks), self.critic("segments")))
 
     def policy(self, data: Data, seed: int) -> Stage:
         plan = self.plan.policy
@@ -105,11 +105,10 @@ class Stages:
             "file": _digest(recipe_path(plan.recipe)),
             "steps": plan.steps,
             "seed": seed,
-            "weighted": data == "weighted",
+            "data": data,
         }
-        return Stage(
-            "policies", f"{data}-{seed}", inputs, (self.dataset(self.plan.data.tasks, filtered=data == "filtered"),)
-        )
+        needs = (self.dataset(self.plan.data.tasks), *(() if data == "all" else (self.values(),)))
+        return Stage("policies", f"{data}-{seed}", inputs, needs)
 
     def critic(self, rewards: Rewards) -> Stage:
         plan = self.plan.critic

@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from jiti.progress import Progress
+
 WATCH_S = 1.0
 
 
@@ -21,6 +23,19 @@ def end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def told() -> Progress:
+    """Tells the log what share is done."""
+    said = 0.0
+
+    def tell(share: float, _what: str) -> None:
+        nonlocal said
+        if share - said >= 0.01:
+            said = share
+            print(f"share:{share:.3f}", flush=True)
+
+    return tell
 
 
 def train_policy(arguments: list[str]) -> None:
@@ -62,8 +77,13 @@ def main(path: str) -> None:
     try:
         if job["kind"] == "policies":
             train_policy(job["arguments"])
-        else:
+        elif job["kind"] == "critics":
             train_critic(job)
+        else:
+            from jiti.runtime.benchmark.values import make_values
+
+            critic, dataset, out, features = (Path(job[name]) for name in ("critic", "dataset", "out", "features"))
+            Path(job["result"]).write_text(json.dumps(make_values(critic, dataset, out, features, told())))
     except JitiError as error:
         print(f"jiti: {error}", file=sys.stderr)
         sys.exit(1)

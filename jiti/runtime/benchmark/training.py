@@ -1,4 +1,5 @@
-"""Base policies and critics, each trained by a process of one thread, as many at once as there are cores."""
+"""Critics, what they think of the demonstrations, and base policies: each by a process of one thread, as many at once
+as there are cores."""
 
 import json
 import os
@@ -19,9 +20,12 @@ from jiti.policies.recipe import recipe_path
 from jiti.progress import Progress
 from jiti.runtime.benchmark.kept import Work
 from jiti.runtime.benchmark.plan import BenchmarkPlan
-from jiti.runtime.benchmark.stages import Stage
+from jiti.runtime.benchmark.stages import Kind, Stage
+from jiti.runtime.benchmark.values import KEPT, WEIGHTS
 
 POLL_S = 0.5
+TRAINED: tuple[Kind, ...] = ("critics", "values", "policies")
+"""What is made here, in the order in which it is begun."""
 _TAIL = 4000
 _STEP = re.compile(r"step:(\d+(?:\.\d+)?)([KM]?)")
 _SHARE = re.compile(r"share:(\d\.\d+)")
@@ -42,8 +46,12 @@ def policy_job(work: Work, stage: Stage, plan: BenchmarkPlan) -> dict[str, Any]:
         f"--save_freq={steps}",
         f"--log_freq={max(1, min(100, steps // 20))}",
     ]
-    if stage.inputs["weighted"]:
-        arguments.append("--sample_weighting.type=rabc")
+    if stage.inputs["data"] == "filtered":
+        kept = (work.folder(stage.needed("values")) / KEPT).read_text()
+        arguments.append(f"--dataset.episodes={kept}")
+    elif stage.inputs["data"] == "weighted":
+        weights = (work.folder(stage.needed("values")) / WEIGHTS).absolute()
+        arguments += ["--sample_weighting.type=rabc", f"--sample_weighting.progress_path={weights}"]
     return {"kind": stage.kind, "arguments": arguments}
 
 
@@ -63,6 +71,32 @@ def critic_job(work: Work, stage: Stage, plan: BenchmarkPlan) -> dict[str, Any]:
         "features": str((work.out / "features").absolute()),
         "result": str(out.with_name(f"{out.name}.result.json")),
     }
+
+
+def values_job(work: Work, stage: Stage, plan: BenchmarkPlan) -> dict[str, Any]:
+    """`jiti.runtime.benchmark.values`."""
+    out = work.folder(stage).absolute()
+    return {
+        "kind": stage.kind,
+        "critic": str(work.folder(stage.needed("critics")).absolute()),
+        "dataset": str(work.folder(stage.needed("curate")).absolute()),
+        "out": str(out),
+        "features": str((work.out / "features").absolute()),
+        "result": str(out.with_name(f"{out.name}.result.json")),
+    }
+
+
+_SPOKEN = {"critics": "critic", "values": "values by critic", "policies": "policy"}
+_JOBS: Mapping[str, Callable[[Work, Stage, BenchmarkPlan], dict[str, Any]]] = {
+    "critics": critic_job,
+    "values": values_job,
+    "policies": policy_job,
+}
+
+
+def steps(stage: Stage) -> float:
+    """What it costs, in a policy's steps: a critic's take half as long, and to value demonstrations some seconds."""
+    return stage.inputs.get("steps", 400) * (1 if stage.kind == "policies" else 0.5)
 
 
 @dataclass
@@ -87,18 +121,22 @@ class _Running:
 def train_all(
     work: Work, stages: Sequence[Stage], plan: BenchmarkPlan, workers: int, finished: Finished, progress: Progress
 ) -> None:
-    """Train these. Those that are done are kept whatever becomes of the others; a policy that was stopped begins anew.
+    """Train these, each when what it needs of them is done. Those that are done are kept whatever becomes of the
+    others; a policy that was stopped begins anew.
 
     Raises UsageError with the end of the log of one that failed, or with the signal that ended one; the others are then
     stopped.
     """
     waiting, running, ended = list(stages), [], 0.0
-    costs = {stage.key: stage.inputs["steps"] * (2 if stage.kind == "policies" else 1) for stage in stages}
+    costs = {stage.key: steps(stage) for stage in stages}
     total = sum(costs.values())
     try:
         while waiting or running:
-            while waiting and len(running) < workers:
-                running.append(_start(work, waiting.pop(0), plan))
+            undone = {stage.key for stage in [*waiting, *(one.stage for one in running)]}
+            ready = [stage for stage in waiting if not undone & {needed.key for needed in stage.needs}]
+            for stage in ready[: workers - len(running)]:
+                waiting.remove(stage)
+                running.append(_start(work, stage, plan))
             time.sleep(POLL_S)
             failed: list[UsageError] = []
             for one in [one for one in running if one.process.poll() is not None]:
@@ -129,7 +167,7 @@ def train_all(
 def _start(work: Work, stage: Stage, plan: BenchmarkPlan) -> _Running:
     folder = work.folder(stage)
     make_folder(folder.parent)
-    job = (policy_job if stage.kind == "policies" else critic_job)(work, stage, plan)
+    job = _JOBS[stage.kind](work, stage, plan)
     if stage.kind == "policies":
         for place in (folder, _partial(work, stage)):
             if place.exists():
@@ -176,7 +214,7 @@ def _partial(work: Work, stage: Stage) -> Path:
 
 
 def _title(stage: Stage) -> str:
-    return f"{'policy' if stage.kind == 'policies' else 'critic'} {stage.name}"
+    return f"{_SPOKEN[stage.kind]} {stage.name}"
 
 
 def _end(log: Path) -> str:
