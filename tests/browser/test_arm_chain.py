@@ -48,7 +48,8 @@ def annotate(serve, screen, folder: Path) -> list[tuple[str, int]]:
 
 
 def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, tmp_path):
-    """It sees its joints alone, not the drawer: of six such rollouts four shut it, and all pushed it at least 2 cm."""
+    """It sees its joints alone, and goes on when the drawer is shut, until a servo is overloaded in one rollout of five:
+    so it is ended by a key once the drawer is less than half open, as a person would."""
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
     with at_terminal(command, tmp_path / "said.txt") as keyboard:
@@ -78,6 +79,8 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
         asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", "1", *options]
         with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
             keyboard.wait_for("[Enter] begin", seconds=120)
+            keyboard.press("\n", "Enter ends an episode", 120)
+            keyboard.watch(lambda: arm.state().drawers["top_drawer"] < before / 2, seconds=60)
             keyboard.press("\n", "Did it succeed?", 120)
             keyboard.press("y", "The drawer must be closed smoothly")
             keyboard.press("n", "[Enter] tell")
@@ -85,7 +88,7 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
             assert keyboard.program.wait(60) == 0
         after = arm.state().drawers["top_drawer"]
     assert before > 0.07
-    assert after < before - 0.01, "metres that it stands open"
+    assert after < before - 0.02, "metres that it stands open"
     (row,) = pq.read_table(tmp_path / "rollouts" / "evaluation.parquet").to_pylist()
     assert (row["guidance"], row["success"], dict(row["itcs"])) == ("none", True, {"so100/T5/shut-smoothly": False})
     (label,) = read_segments(tmp_path / "rollouts" / "judged" / "labels").to_pylist()

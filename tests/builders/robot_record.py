@@ -4,7 +4,7 @@ import os
 import pty
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic, sleep
@@ -46,6 +46,14 @@ class Keyboard:
         while words not in self.said()[since:]:
             assert monotonic() < end, f"{words!r} was not said: {self.said()}"
             assert self.program.poll() is None or words in self.said()[since:], self.said()
+            sleep(0.02)
+
+    def watch(self, true: Callable[[], bool], seconds: float) -> None:
+        """Until something is true, while the program runs."""
+        end = monotonic() + seconds
+        while not true():
+            assert monotonic() < end, f"it did not come true: {self.said()}"
+            assert self.program.poll() is None, self.said()
             sleep(0.02)
 
     def press(self, key: str, until_said: str, seconds: float = 60) -> None:
