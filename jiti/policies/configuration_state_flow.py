@@ -58,7 +58,7 @@ class StateFlowConfig(PreTrainedConfig):
     scheduler_decay_steps: int = 100_000
     scheduler_decay_lr: float = 2e-5
     """All six are our choice, tried on LIBERO-Elegant's eight tasks. lerobot shortens warmup and decay to the steps of
-    a run that has fewer: one of 20,000 warms up for 200, and ends where the rate does."""
+    a run that has fewer: one of 30,000 warms up for 300, and ends where the rate does."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -18,7 +18,7 @@ from tests.builders.robot_record import at_terminal, jiti
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
 pytestmark = [pytest.mark.browser, pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(1200)]
-DEMONSTRATIONS, STEPS, CHUNK = 6, 2000, 30
+DEMONSTRATIONS, STEPS, CHUNK = 6, 1000, 30
 FEATURES = """
 [features."observation.state"]
 streams = ["/joints"]

@@ -76,7 +76,7 @@ class PolicyPlan:
     """Base policies."""
 
     recipe: str = "state_flow"
-    steps: int = 20_000
+    steps: int = 30_000
 
     def __post_init__(self) -> None:
         _one_of("policy.recipe", self.recipe, tuple(RECIPES))

@@ -32,7 +32,7 @@ def test_jobs_say_what_the_plan_says(tmp_path):
     arguments = policy_job(work, policy, PLAN)["arguments"]
     weights = work.folder(policy.needed("values")).absolute() / "progress.parquet"
     weighted = {"--sample_weighting.type=rabc", f"--sample_weighting.progress_path={weights}"}
-    assert {"--seed=3", "--steps=20000", *weighted} <= set(arguments)
+    assert {"--seed=3", "--steps=30000", *weighted} <= set(arguments)
     assert any(one.startswith("--output_dir=") and one.endswith(".partial") for one in arguments)
     job = critic_job(work, critic, PLAN)
     assert job["settings"] == {"run": {"steps": 6000, "seed": 0}, "data": {"rewards": "success"}}
