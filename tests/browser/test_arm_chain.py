@@ -48,8 +48,8 @@ def annotate(serve, screen, folder: Path) -> list[tuple[str, int]]:
 
 
 def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, tmp_path):
-    """It sees its joints alone, and goes on when the drawer is shut, until a servo is overloaded in one rollout of five:
-    so it is ended by a key once the drawer is less than half open, as a person would."""
+    """It sees its joints alone, and goes on when the drawer is shut, until a servo is overloaded in one rollout of
+    five: so it is ended by a key once the drawer is less than half open, as a person would."""
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
     with at_terminal(command, tmp_path / "said.txt") as keyboard:

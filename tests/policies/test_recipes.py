@@ -130,7 +130,7 @@ def test_groot_n15_is_for_an_older_lerobot_and_this_one_says_so(tmp_path):
 def test_our_own_recipe_is_small(tmp_path):
     config = parsed("state_flow", tmp_path)
     assert config.policy.chunk_size == config.policy.n_action_steps == 10
-    assert config.steps * config.batch_size * config.policy.draws <= 10_000 * 256
+    assert config.steps * config.batch_size * config.policy.draws <= 30_000 * 256, "half an hour of a core"
 
 
 def test_a_recipe_that_there_is_not_is_answered_with_those_that_there_are():
