@@ -52,15 +52,8 @@ def train_critic(job: dict[str, Any]) -> None:
     from jiti.critic.train import train
 
     settings = changed(read_settings(Path(job["recipe"])), job["settings"])
-    said = 0.0
-
-    def tell(share: float, _what: str) -> None:
-        nonlocal said
-        if share - said >= 0.01:
-            said = share
-            print(f"share:{share:.3f}", flush=True)
-
-    trained = train(Path(job["dataset"]), Path(job["out"]), settings, features_dir=Path(job["features"]), progress=tell)
+    out, features = Path(job["out"]), Path(job["features"])
+    trained = train(Path(job["dataset"]), out, settings, features_dir=features, progress=told())
     print(trained)
     Path(job["result"]).write_text(json.dumps({"step": trained.step, **trained.best}))
 
