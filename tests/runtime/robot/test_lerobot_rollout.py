@@ -1,0 +1,43 @@
+"""lerobot's own `lerobot-rollout` plays JITI around a policy on the virtual arm."""
+
+import subprocess
+import sys
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs pip install 'jiti[learn]'")
+pytest.importorskip("scservo_sdk", reason="needs pip install 'jiti[robot]'")
+
+from jiti.policies import save_jiti
+from jiti.runtime.robot.virtual import VirtualArm
+from tests.builders.robot_record import environment
+from tests.runtime.candidates.conftest import TOLD, checkpoint, inputs, tiny_critic, tiny_flow
+
+pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore")]
+NEAREST_DEG = 5.0
+"""`robot.max_relative_target`: the weights are random."""
+
+
+def test_lerobots_rollout_plays_it_on_an_arm(tmp_path):
+    base = checkpoint(tiny_flow(**inputs(state=6, scene=0, action=6), n_action_steps=4), tmp_path / "policy")
+    folder = save_jiti(tmp_path / "jiti", base, tiny_critic(tmp_path / "critic", size=6, action=6), tau=0.1)
+    with VirtualArm("so100/T5") as arm, (tmp_path / "said.txt").open("w+") as said:
+        command = [
+            str(Path(sys.executable).with_name("lerobot-rollout")), "--strategy.type=base",
+            "--discover_packages_path=jiti.policies", f"--policy.path={folder}", "--robot.type=so100_follower",
+            f"--robot.port={arm.port}", f"--robot.id={arm.id}", f"--robot.calibration_dir={arm.calibration_dir}",
+            f"--robot.max_relative_target={NEAREST_DEG}", f"--task={TOLD}", "--duration=3", "--fps=30", "--device=cpu",
+        ]  # fmt: skip
+        begin, farthest = np.array(list(arm.state().joints.values())), 0.0
+        with subprocess.Popen(command, env=environment(), stdout=said, stderr=subprocess.STDOUT) as program:
+            while program.poll() is None:  # in the end lerobot brings the arm back
+                farthest = max(farthest, abs(np.array(list(arm.state().joints.values())) - begin).max())
+                sleep(0.05)
+        said.seek(0)
+        told = said.read()
+    assert program.returncode == 0, told
+    assert "Policy loaded: type=jiti" in told
+    assert farthest > 0.1, "rad"
