@@ -19,11 +19,8 @@ from tests.runtime.candidates.conftest import TOLD, checkpoint, inputs, tiny_cri
 pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore")]
 NEAREST_DEG = 5.0
 """`robot.max_relative_target`: the weights are random."""
-ATTEMPTS = 4
-
-
-SILENT = "There is no status packet!"
-"""lerobot's driver gives up after three silent tries of a few milliseconds: on a busy machine the virtual arm is late."""
+ATTEMPTS, SILENT = 4, "There is no status packet!"
+"""lerobot's driver gives up after three tries of a few milliseconds: on a busy machine the virtual arm is late."""
 
 
 def play(folder: Path, arm: VirtualArm, log: Path) -> tuple[int, str, float]:
