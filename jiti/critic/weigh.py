@@ -27,17 +27,15 @@ class Valued:
     """An episode of a dataset, as a critic sees it."""
 
     task: str
-    labelled: bool
     q: np.ndarray
     """(frames,): of the chunk that was done at each frame."""
     reward: np.ndarray
-    """(frames,)"""
+    """(frames,). What is rewarded in an episode without a label is not known: both are zeros there."""
 
     @property
     def progress(self) -> np.ndarray:
-        """(frames,) float32 for `lerobot-train`. What is rewarded in an episode without a label is not known: there it
-        stands still."""
-        return value_progress(self.q, self.reward) if self.labelled else np.zeros(len(self.q), np.float32)
+        """(frames,) float32 for `lerobot-train`; without a label it stands still."""
+        return value_progress(self.q, self.reward)
 
 
 class Weigher:
@@ -61,8 +59,11 @@ class Weigher:
         for episode in range(data.episodes):
             progress(episode / data.episodes, f"values of episode {episode}")
             frames = data.frames_of(np.array([episode]))
-            q = recorded_values(self._critic, data, cache, frames)
-            yield Valued(str(data.task[episode]), bool(data.labelled[episode]), q, data.reward[frames])
+            if data.labelled[episode]:
+                q, reward = recorded_values(self._critic, data, cache, frames), data.reward[frames]
+            else:
+                q, reward = np.zeros((2, len(frames)), np.float32)
+            yield Valued(str(data.task[episode]), q, reward)
 
     def __call__(self, dataset: Path, progress: Progress) -> Path:
         """Write the weights into a dataset, and say where they are."""
