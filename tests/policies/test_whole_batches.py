@@ -65,21 +65,23 @@ def dataset(tmp_path_factory):
 
 
 @pytest.mark.parametrize("episodes", [None, [1, 2], [0, 3]])
-def test_items_are_the_same_number_by_number(dataset, episodes):
+def test_a_batch_is_the_same_number_by_number(dataset, episodes):
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from torch.utils.data import default_collate
 
     from jiti.policies.whole_batches import items
 
     opened = LeRobotDataset("local/elegant", root=dataset, episodes=episodes, delta_timestamps=AHEAD)
     indices = [*range(len(opened)), 0, len(opened) - 1]
-    for one, other in zip([opened[i] for i in indices], items(opened, indices), strict=True):
-        assert set(one) == set(other)
-        for key, value in one.items():
-            if key == "task":
-                assert other[key] == value
-            else:
-                assert other[key].dtype == value.dtype
-                assert torch.equal(other[key], value), key
+    expected, found = default_collate([opened[i] for i in indices]), default_collate(items(opened, indices))
+    assert type(found) is dict
+    assert set(found) == set(expected)
+    for key, value in expected.items():
+        if key == "task":
+            assert found[key] == value
+        else:
+            assert found[key].dtype == value.dtype
+            assert torch.equal(found[key], value), key
 
 
 def test_a_loader_asks_for_whole_batches(dataset, monkeypatch):
