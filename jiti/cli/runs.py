@@ -21,6 +21,16 @@ def record(
     quality: Annotated[
         float, typer.Option("--quality", min=0.0, max=1.0, help="Share that is meant to be elegant.")
     ] = 0.5,
+    disturbance: Annotated[
+        float,
+        typer.Option(
+            "--disturbance",
+            min=0.0,
+            max=1.0,
+            help="Push the hand now and then, at most so hard (1: as hard as an action can be), and record how that is "
+            "made good: 0.3 makes policies that recover.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first episode; the next has the next.")] = 0,
     cameras: Annotated[str, typer.Option("--cameras", help="front,wrist or none.")] = "front,wrist",
     assets: Assets = None,
@@ -60,7 +70,7 @@ def record(
     """
     given = {name for name in context.params if str(context.get_parameter_source(name)).endswith("COMMANDLINE")}
     if given & {"robot", "port", "robot_config"}:
-        if wrong := given & {"cameras", "assets", "start", "workers"}:
+        if wrong := given & {"cameras", "assets", "start", "workers", "disturbance"}:
             named = ", ".join(f"--{name}" for name in sorted(wrong))
             raise UsageError(f"{named}: for simulation; an arm's cameras stand in the file of --robot-config.")
         _record_on_robot(
@@ -85,7 +95,15 @@ def record(
 
     found = load_catalogue(*tasks or ()).simulated(task)
     shown = () if cameras == "none" else tuple(name.strip() for name in cameras.split(","))
-    plan = Plan(found, quality=quality, seed=seed, start=start.value, assets=assets, cameras=shown)
+    plan = Plan(
+        found,
+        quality=quality,
+        seed=seed,
+        start=start.value,
+        assets=assets,
+        cameras=shown,
+        disturbance=disturbance,
+    )
     folder = out or Path(f"jiti-{found.task_id.replace('/', '-')}")
     with progress_bar("Recording") as progress:
         try:

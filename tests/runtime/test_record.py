@@ -254,6 +254,7 @@ def test_without_pictures_it_says_so_and_goes_on(blind, tmp_path):
     ("plan", "said"),
     [
         (Plan(TASK, seed=3, cameras=(), quality=0.1), r"quality '0.5' and not '0.1'.*--out"),
+        (Plan(TASK, seed=3, cameras=(), disturbance=0.2), r"disturbance '0' and not '0.2'"),
         (Plan(TASK, seed=3, cameras=(), start="file"), r"start 'jitter' and not 'file'"),
         (Plan(OTHER_GOAL, seed=3, cameras=()), r"goals '\(AtEnd .*' and not '\(AtEnd \(On "),
     ],
@@ -280,6 +281,8 @@ def test_what_cannot_be_recorded_is_said(tmp_path):
         record(Plan(load_catalogue().task("so100/T0")), tmp_path, episodes=1)
     with pytest.raises(UsageError, match=r"--quality 1\.5 is not in 0 to 1"):
         Plan(TASK, quality=1.5)
+    with pytest.raises(UsageError, match=r"--disturbance 2 is not in 0 to 1"):
+        Plan(TASK, disturbance=2)
     with pytest.raises(UsageError, match="there is no scripted expert for lab/bowl"):
         record(Plan(replace(TASK, task_id="lab/bowl"), cameras=()), tmp_path, episodes=1)
     with pytest.raises(UsageError, match="a camera is named twice: front, front"):

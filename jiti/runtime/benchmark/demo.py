@@ -154,13 +154,18 @@ def _plan(request: Request, task: Task) -> BenchmarkPlan:
 def _recorded(plan: BenchmarkPlan, task: Task, folder: Path) -> list[Recorded]:
     """The demonstrations, every one read back."""
     recorded = record(
-        Plan(task, plan.data.quality, plan.data.seed, plan.data.start, plan.data.assets, ()),
+        replace(_demonstrated(plan, task), cameras=()),
         folder,
         episodes=plan.data.episodes,
     )
     reader = open_reader(folder)
     _check(recorded, {ref.title: reader.open(ref.episode_id) for ref in reader.episodes()})
     return recorded
+
+
+def _demonstrated(plan: BenchmarkPlan, task: Task) -> Plan:
+    data = plan.data
+    return Plan(task, data.quality, data.seed, data.start, data.assets, disturbance=data.disturbance)
 
 
 def _show_one(plan: BenchmarkPlan, task: Task, folder: Path) -> bool:
@@ -170,7 +175,7 @@ def _show_one(plan: BenchmarkPlan, task: Task, folder: Path) -> bool:
     """
     shown = folder / SHOWN
     graphics = find_graphics()
-    one = Plan(task, plan.data.quality, plan.data.seed, plan.data.start, plan.data.assets)
+    one = _demonstrated(plan, task)
     if not _is_first(shown, one, graphics):
         apart = folder / ".episode"
         (recorded,) = record(one, apart, episodes=1, workers=1, graphics=graphics)

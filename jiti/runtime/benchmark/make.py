@@ -35,7 +35,15 @@ SIMULATOR = "sim"
 def recordings_plan(plan: BenchmarkPlan, catalogue: Catalogue, task: str, assets: str | None) -> Plan:
     """Of the demonstrations of a task."""
     data = plan.data
-    return Plan(catalogue.task(task), data.quality, data.seed, data.start, assets, data.cameras)
+    return Plan(
+        catalogue.task(task),
+        data.quality,
+        data.seed,
+        data.start,
+        assets,
+        data.cameras,
+        disturbance=data.disturbance,
+    )
 
 
 def make_recordings(

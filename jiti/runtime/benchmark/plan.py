@@ -28,6 +28,8 @@ class DataPlan:
     """Of each task."""
     quality: float = 0.5
     """Share that is meant to be elegant."""
+    disturbance: float = 0.0
+    """Of the strongest push on the demonstrator's hand, in the unit of an action."""
     seed: int = 0
     """Of the first episode of each task."""
     start: Start = "jitter"
@@ -47,6 +49,8 @@ class DataPlan:
             _one_of("data.cameras", camera, tuple(CAMERAS))
         if not 0 <= self.quality <= 1:
             raise UsageError(f"data.quality is {self.quality}; it must be from 0 to 1")
+        if not 0 <= self.disturbance <= 1:
+            raise UsageError(f"data.disturbance is {self.disturbance}; it must be from 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)

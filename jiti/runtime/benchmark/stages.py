@@ -75,6 +75,7 @@ class Stages:
             **self._scene(task),
             "episodes": data.episodes,
             "quality": data.quality,
+            "disturbance": data.disturbance,
             "seed": data.seed,
         }
         return Stage("record", _plain(task), inputs)

@@ -26,6 +26,8 @@ from jiti.runtime.sim.scene import CAMERAS, CONTROL_HZ, Scene, Start
 from jiti.runtime.workers import alone, check_stop, in_processes, remove_leftovers
 from jiti.tasks.task import Task
 
+_WITHOUT = {"disturbance": "0"}
+"""What recordings are that do not say it, for jiti did not know of it then."""
 TYPICAL_STEPS = 200
 """Steps of an episode, for progress alone."""
 
@@ -44,10 +46,14 @@ class Plan:
     """Asset pack: a folder, "primitive" (the default) or "libero"."""
     cameras: tuple[str, ...] = tuple(CAMERAS)
     picture_size: int = 256
+    disturbance: float = 0.0
+    """Of the strongest push on the hand, which the demonstrator makes good, in the unit of an action; 0 to 1."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.quality <= 1:
             raise UsageError(f"--quality {self.quality:g} is not in 0 to 1")
+        if not 0 <= self.disturbance <= 1:
+            raise UsageError(f"--disturbance {self.disturbance:g} is not in 0 to 1")
         if self.seed < 0:
             raise UsageError(f"--seed {self.seed} is negative; give 0 or more")
         for camera in self.cameras:
@@ -72,6 +78,7 @@ class Plan:
             "task": self.task.task_id,
             "seed": str(self.seed + number),
             "quality": f"{self.quality:g}",
+            "disturbance": f"{self.disturbance:g}",
             "start": self.start,
             "assets": pack_name(self.assets),
             "cameras": " ".join(self.cameras if graphics.backend else ()),
@@ -182,6 +189,7 @@ def _one(
         scene,
         seed=plan.seed + number,
         quality=plan.quality,
+        disturbance=plan.disturbance,
         start=plan.start,
         about=plan.about(number, graphics),
         progress=progress,
@@ -210,7 +218,7 @@ def _is_kept(path: Path, plan: Plan, number: int, graphics: Graphics) -> bool:
     other = [
         f"{key} {found.get(key) or 'none'!r} and not {value or 'none'!r}"
         for key, value in wanted.items()
-        if found.get(key) != value
+        if found.get(key, _WITHOUT.get(key)) != value
     ]
     if other:
         raise UsageError(

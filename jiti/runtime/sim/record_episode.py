@@ -10,6 +10,7 @@ from jiti.curate.export.outcome import OUTCOME
 from jiti.episodes.mcap_contents import METADATA_NAME
 from jiti.episodes.mcap_writer import McapWriter
 from jiti.runtime.sim.demonstrators import demonstrator_for
+from jiti.runtime.sim.disturbance import Disturbance
 from jiti.runtime.sim.episode import run_episode
 from jiti.runtime.sim.monitor import Monitor, Outcome
 from jiti.runtime.sim.pictures import jpeg
@@ -22,6 +23,8 @@ from jiti.tasks.rotation import quaternion_xyzw
 START_NS = 1_735_689_600_000_000_000
 """Log time of the first frame: 2025-01-01, 00:00 UTC. Fixed, so that one seed always gives the same messages."""
 STEP_NS = 1_000_000_000 // CONTROL_HZ
+_PUSHES = 3
+"""What a stream of random numbers is for: the last of its seeds, other than the demonstrator's and the scene's."""
 
 
 def record_episode(
@@ -30,11 +33,13 @@ def record_episode(
     *,
     seed: int,
     quality: float,
+    disturbance: float = 0.0,
     start: Start,
     about: Mapping[str, str],
     progress: Callable[[int], None] = lambda _step: None,
 ) -> Outcome:
-    """Demonstrate the scene's task once, from a seed, and write what happened to `path`.
+    """Demonstrate the scene's task once, from a seed, and write what happened to `path`, with the actions that the
+    demonstrator wanted.
 
     The same arguments give the same messages on one machine, byte for byte. An exception leaves no file. Raises
     SaveFailed when the disk refuses.
@@ -42,13 +47,14 @@ def record_episode(
     scene.reset(seed, start)
     monitor = Monitor(scene)
     actor = demonstrator_for(scene, seed, quality)
+    disturbed = Disturbance(disturbance, np.random.default_rng([seed, _PUSHES]))
     with McapWriter(path, instruction=scene.task.instruction, metadata=about) as writer:
 
         def watch(step: int, action: np.ndarray | None) -> None:
             write_step(writer, step, scene, monitor, action)
             progress(step)
 
-        outcome = run_episode(monitor, actor, scene.step, watch)
+        outcome = run_episode(monitor, actor, lambda action: scene.step(disturbed(action)), watch)
         write_outcome(writer, outcome)
     return outcome
 
