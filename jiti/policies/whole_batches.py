@@ -1,7 +1,7 @@
 """Read a batch of frames of a LeRobotDataset at once, so that learning from state does not wait for reading.
 
 lerobot 0.6.1 reads frame by frame, 7 ms each on a CPU: 1.7 s for a batch of 256, of which a small policy learns in
-0.025 s. torch's loader asks a dataset for a whole batch where it has `__getitems__`, and collates it by a function that
+0.02 s. torch's loader asks a dataset for a whole batch where it has `__getitems__`, and collates it by a function that
 it looks up by type; `install` adds both. A batch is the same, number by number, as one of frames that were read one by
 one, and what has pictures or language columns is still read so. lerobot imports this module with the policies of
 `jiti.policies`, and only then is anything changed.

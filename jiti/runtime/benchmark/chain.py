@@ -187,7 +187,7 @@ class Chain:
             self.work.finish(stage, monotonic() - began, made)
 
     def _record(self, stage: Stage, progress: Progress) -> Mapping[str, Any]:
-        plan = recordings_plan(self.plan, self.catalogue, stage.inputs["task"], self.pack)
+        plan = recordings_plan(self.plan, self.catalogue.task(stage.inputs["task"]), self.pack)
         make_folder(self.work.folder(stage))
         return make_recordings(
             plan,

@@ -18,11 +18,13 @@ from jiti.progress import Progress
 from jiti.runtime.benchmark.chain import Chain
 from jiti.runtime.benchmark.command import Done, check_installed, report, run_chain
 from jiti.runtime.benchmark.kept import Work
+from jiti.runtime.benchmark.make import recordings_plan
 from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.sim.gl import Graphics, find_graphics
 from jiti.runtime.sim.record import Plan, Recorded, record, recorded_metadata
 from jiti.runtime.sim.record_episode import OUTCOME
+from jiti.runtime.sim.scene import CAMERAS
 from jiti.tasks.catalogue import load_catalogue
 from jiti.tasks.task import Task
 
@@ -154,18 +156,13 @@ def _plan(request: Request, task: Task) -> BenchmarkPlan:
 def _recorded(plan: BenchmarkPlan, task: Task, folder: Path) -> list[Recorded]:
     """The demonstrations, every one read back."""
     recorded = record(
-        replace(_demonstrated(plan, task), cameras=()),
+        recordings_plan(plan, task, plan.data.assets),
         folder,
         episodes=plan.data.episodes,
     )
     reader = open_reader(folder)
     _check(recorded, {ref.title: reader.open(ref.episode_id) for ref in reader.episodes()})
     return recorded
-
-
-def _demonstrated(plan: BenchmarkPlan, task: Task) -> Plan:
-    data = plan.data
-    return Plan(task, data.quality, data.seed, data.start, data.assets, disturbance=data.disturbance)
 
 
 def _show_one(plan: BenchmarkPlan, task: Task, folder: Path) -> bool:
@@ -175,7 +172,7 @@ def _show_one(plan: BenchmarkPlan, task: Task, folder: Path) -> bool:
     """
     shown = folder / SHOWN
     graphics = find_graphics()
-    one = _demonstrated(plan, task)
+    one = replace(recordings_plan(plan, task, plan.data.assets), cameras=tuple(CAMERAS))
     if not _is_first(shown, one, graphics):
         apart = folder / ".episode"
         (recorded,) = record(one, apart, episodes=1, workers=1, graphics=graphics)

@@ -26,17 +26,17 @@ from jiti.runtime.benchmark.kept import Work
 from jiti.runtime.benchmark.plan import BenchmarkPlan
 from jiti.runtime.benchmark.stages import Stage
 from jiti.runtime.sim.record import Plan, Recorded, record
-from jiti.tasks.catalogue import Catalogue
+from jiti.tasks.task import Task
 
 SIMULATOR = "sim"
 """Whose proposals count, but those that people settled."""
 
 
-def recordings_plan(plan: BenchmarkPlan, catalogue: Catalogue, task: str, assets: str | None) -> Plan:
+def recordings_plan(plan: BenchmarkPlan, task: Task, assets: str | None) -> Plan:
     """Of the demonstrations of a task."""
     data = plan.data
     return Plan(
-        catalogue.task(task),
+        task,
         data.quality,
         data.seed,
         data.start,
