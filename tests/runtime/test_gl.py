@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from jiti.runtime.sim.gl import find_graphics
+from jiti.runtime.sim.gl import BACKENDS, find_graphics
 
 LIBRARIES = ("EGL", "GL", "OpenGL", "OSMesa")
 
@@ -30,6 +30,26 @@ def test_without_gl_libraries_the_message_names_the_debian_packages(without_gl):
     assert "osmesa: its library is not installed" in graphics.message
     assert "apt-get install libegl1 libgl1" in graphics.message
     assert "libosmesa6" in graphics.message
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("wish", ["", *BACKENDS])
+def test_a_process_that_began_without_pictures_renders_them_later_whatever_was_wished(monkeypatch, wish):
+    monkeypatch.setenv("MUJOCO_GL", wish)
+    graphics = find_graphics()
+    if graphics.backend is None:
+        pytest.skip(graphics.message)
+    code = (
+        "from jiti.runtime.sim.engine import import_robosuite\n"
+        "from jiti.runtime.sim.gl import Graphics\n"
+        "import_robosuite(Graphics(None, ''))\n"
+        f"import_robosuite(Graphics({graphics.backend!r}, ''))\n"
+        "import mujoco\n"
+        "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
+        "with mujoco.Renderer(model, 8, 8) as renderer:\n    print(renderer.render().shape)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
+    assert done.stdout == "(8, 8, 3)\n", done.stderr
 
 
 @pytest.mark.sim

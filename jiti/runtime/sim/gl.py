@@ -59,12 +59,13 @@ def find_graphics() -> Graphics:
 
 def use(backend: str) -> None:
     """Let MuJoCo render with this library from now on; it chooses one when it is imported, and here anew."""
-    if os.environ.get("MUJOCO_GL") == backend:
-        return
+    wished = os.environ.get("MUJOCO_GL") == backend
     os.environ["MUJOCO_GL"] = backend
     if "mujoco" in sys.modules:
         renderer: Any = sys.modules[sys.modules["mujoco"].Renderer.__module__]
-        importlib.reload(renderer.gl_context)
+        # MuJoCo may have been imported to render nothing, whatever the user's MUJOCO_GL says.
+        if not (wished and hasattr(renderer.gl_context, "GLContext")):
+            importlib.reload(renderer.gl_context)
 
 
 def _failure(backend: str) -> str | None:
