@@ -75,12 +75,12 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
         folder = str(arm.calibration_dir)
         robot_record.write_settings(config, RobotSettings(port=arm.port, id=arm.id, calibration_dir=folder, lost_s=1.0))
         before = arm.state().drawers["top_drawer"]
-        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "12", "--out", "rollouts"]
+        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "30", "--out", "rollouts"]
         asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", "1", *options]
         with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
             keyboard.wait_for("[Enter] begin", seconds=120)
             keyboard.press("\n", "Enter ends an episode", 120)
-            keyboard.watch(lambda: arm.state().drawers["top_drawer"] < before / 2, seconds=60)
+            keyboard.watch(lambda: arm.state().drawers["top_drawer"] < before / 2, seconds=90)
             keyboard.press("\n", "Did it succeed?", 120)
             keyboard.press("y", "The drawer must be closed smoothly")
             keyboard.press("n", "[Enter] tell")
