@@ -4,8 +4,8 @@
 
 A demonstration with care and one without, of the same seed, are the same until they part. The chunks of both that begin
 at that frame, and 2, 4 and 6 before, are valued at the state that they share. Pairs count of which the careful one came
-out elegant and the careless one did not. What is guessed has 0.5. How long after the parting the careful demonstration
-ends tells how far the critic has to look ahead.
+out elegant and the careless one did not. What is guessed has 0.5. How far the critic has to look ahead tells the time
+from the parting to the step at which the simulator decides the careful one's constraints.
 """
 
 import argparse
@@ -14,6 +14,7 @@ import multiprocessing
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 ELEGANT = tuple(f"elegant/T{k}" for k in range(8))
 SEED = 310_000
-"""First seed: the benchmark's plans neither record, nor calibrate, nor play from here on."""
+"""First seed: no plan of the benchmark has one from 310000 to 399999."""
 BEFORE = (0, 2, 4, 6)
 """Frames before the parting at which chunks begin; the critic's are longer."""
 
@@ -42,8 +43,10 @@ class Pairs:
     first: int
     """In how many the careful chunk is worth more."""
     of: int
-    ahead: float | None
-    """Frames from the parting to the end of the careful demonstration, the mean of them."""
+    seeds: int
+    """Of which both demonstrations came out as they were meant."""
+    ahead_steps: float | None
+    """From the parting to the verdict on the careful demonstration, the mean of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,8 @@ class Shown:
     observations: "list[Observation]"
     actions: np.ndarray
     elegant: bool
+    decided_at: int
+    """The step at which the last of its constraints was decided."""
 
 
 def measure(critic: str, task: str, assets: str, seeds: Sequence[int]) -> Pairs:
@@ -64,39 +69,44 @@ def measure(critic: str, task: str, assets: str, seeds: Sequence[int]) -> Pairs:
 
     torch.set_num_threads(1)
     scorer = open_scorer(critic)
-    env = ElegantEnv(task, assets=assets)
     first, of, ahead = 0, 0, []
-    for seed in seeds:
-        careful, careless = show(env, seed, careful=True), show(env, seed, careful=False)
-        if not careful.elegant or careless.elegant:
-            continue
-        part = parting(careful.actions, careless.actions)
-        ahead.append(len(careful.actions) - part)
-        for frame in (part - before for before in BEFORE if part >= before):
-            chunks = [shown.actions[frame : frame + scorer.chunk] for shown in (careful, careless)]
-            if min(map(len, chunks)) < scorer.chunk:
+    with closing(ElegantEnv(task, assets=assets)) as env:
+        for seed in seeds:
+            careful, careless = show(env, seed, careful=True), show(env, seed, careful=False)
+            if not careful.elegant or careless.elegant:
                 continue
-            good, bad = scorer.at(careful.observations[frame], env.task_description)(np.stack(chunks))
-            first += bool(good > bad)
-            of += 1
-    env.close()
-    return Pairs(task, first, of, fmean(ahead) if ahead else None)
+            part = parting(careful.actions, careless.actions)
+            ahead.append(careful.decided_at - part)
+            for frame in (part - before for before in BEFORE if part >= before):
+                chunks = [shown.actions[frame : frame + scorer.chunk] for shown in (careful, careless)]
+                if min(map(len, chunks)) < scorer.chunk:
+                    continue
+                state = careful.observations[frame]
+                for key, value in careless.observations[frame].items():
+                    np.testing.assert_array_equal(value, state[key], f"{task}, seed {seed}: they part before they act")
+                good, bad = scorer.at(state, env.task_description)(np.stack(chunks))
+                first += bool(good > bad)
+                of += 1
+    return Pairs(task, first, of, len(ahead), fmean(ahead) if ahead else None)
 
 
 def show(env: "ElegantEnv", seed: int, *, careful: bool) -> Shown:
     """The demonstration of a seed."""
     from jiti.runtime.rollout.play import lerobot_keys
     from jiti.runtime.sim.demonstrators import demonstrator_for
+    from jiti.runtime.sim.episode import run_episode
 
-    seen, _ = env.reset(seed=seed)
-    actor = demonstrator_for(env.scene, seed, float(careful))
-    observations, actions = [lerobot_keys(seen)], []
-    while (action := actor.act()) is not None:
-        seen, *_ = env.step(action)
-        actions.append(action)
-        observations.append(lerobot_keys(seen))
-    outcome = env.monitor.outcome()
-    return Shown(observations, np.array(actions), outcome.success and outcome.elegant)
+    observations, actions = [], []
+
+    def watch(_step: int, action: np.ndarray | None) -> None:
+        observations.append(lerobot_keys(env.observe()))
+        if action is not None:
+            actions.append(action)
+
+    env.reset(seed=seed)
+    outcome = run_episode(env.monitor, demonstrator_for(env.scene, seed, float(careful)), env.scene.step, watch)
+    decided_at = max(verdict.step for verdict in outcome.verdicts.values())
+    return Shown(observations, np.array(actions), outcome.elegant, decided_at)
 
 
 def parting(one: np.ndarray, other: np.ndarray) -> int:
@@ -109,15 +119,19 @@ def parting(one: np.ndarray, other: np.ndarray) -> int:
 def table_of(found: Sequence[Pairs]) -> Table:
     """A row for each task, and one for all."""
     table = Table(title="The careful chunk is worth more, at the state where both begin", title_justify="left")
-    for name in ("task", "share", "of", "frames to the end"):
+    for name in ("task", "share", "of", "seeds", "steps to the verdict"):
         table.add_column(name, justify="left" if name == "task" else "right")
     for pairs in found:
         share = f"{pairs.first / pairs.of:.2f}" if pairs.of else "-"
-        table.add_row(pairs.task, share, str(pairs.of), "-" if pairs.ahead is None else f"{pairs.ahead:.0f}")
+        table.add_row(pairs.task, share, str(pairs.of), str(pairs.seeds), _steps(pairs.ahead_steps))
     first, of = sum(pairs.first for pairs in found), sum(pairs.of for pairs in found)
     table.add_section()
-    table.add_row("all", f"{first / of:.2f}" if of else "-", str(of), "")
+    table.add_row("all", f"{first / of:.2f}" if of else "-", str(of), str(sum(pairs.seeds for pairs in found)), "")
     return table
+
+
+def _steps(count: float | None) -> str:
+    return "-" if count is None else f"{count:.0f}"
 
 
 def main() -> None:

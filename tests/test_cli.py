@@ -262,7 +262,13 @@ def test_a_port_in_use_is_refused(run: Run, tmp_path: Path) -> None:
 def test_recording_on_an_arm_asks_for_what_fits_together(run: Run, tmp_path: Path) -> None:
     arm = ("record", "--robot", "so100", "--task", "so100/T5")
     refused(run(*arm), "which port? Pass --port /dev/ttyACM0")
-    for option in (("--cameras", "front"), ("--workers", "2"), ("--assets", "libero"), ("--start", "file")):
+    for option in (
+        ("--cameras", "front"),
+        ("--workers", "2"),
+        ("--assets", "libero"),
+        ("--start", "file"),
+        ("--disturbance", "0.3"),
+    ):
         refused(run(*arm, "--port", "virtual", *option), f"{option[0]}: for simulation")
     refused(run(*arm, "--port", "/dev/ttyNONE", "--quality", "0.5"), "--quality is for the hand that demonstrates")
     refused(run(*arm, "--port", "/dev/ttyNONE", "--leader", "virtual"), "pass --port virtual")

@@ -28,7 +28,7 @@ def record(
             min=0.0,
             max=1.0,
             help="Push the hand now and then, at most so hard (1: as hard as an action can be), and record how that is "
-            "made good: 0.3 makes policies that recover.",
+            "made good: 0.3 is meant for policies that recover.",
         ),
     ] = 0.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first episode; the next has the next.")] = 0,

@@ -22,7 +22,11 @@ class Whole(dict[str, Any]):
 
 
 def install() -> None:
-    """Let torch's loader read whole batches. Only into this process: loaders with workers read one by one."""
+    """Let torch's loader read whole batches. Only into this process: loaders with workers read one by one.
+
+    A loader with a `collate_fn` of its own that is no `default_collate` is given a list of one `Whole`, and must take
+    it as the batch; lerobot's has one for language columns alone, which are read one by one.
+    """
     if not hasattr(LeRobotDataset, "__getitems__"):
         LeRobotDataset.__getitems__ = items  # pyright: ignore[reportAttributeAccessIssue]
         default_collate_fn_map[Whole] = lambda batch, **_unused: dict(batch[0])

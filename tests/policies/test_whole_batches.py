@@ -95,6 +95,8 @@ def test_a_loader_asks_for_whole_batches(dataset, monkeypatch):
     (batch,) = torch.utils.data.DataLoader(opened, batch_size=len(opened))
     assert batch["action"].shape == (sum(LENGTHS), 4, 2)
     assert batch["action_is_pad"].sum() == len(LENGTHS) * (1 + 2 + 3)
+    (some,) = torch.utils.data.DataLoader(torch.utils.data.Subset(opened, [3, 5]), batch_size=2)
+    assert torch.equal(some["action"], batch["action"][[3, 5]])
 
 
 @pytest.mark.slow

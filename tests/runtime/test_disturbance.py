@@ -39,8 +39,8 @@ def test_a_push_is_constant_and_lasts_as_long_as_is_said(seed):
 
 
 def test_pushes_come_as_often_as_is_said():
-    pushes = executed(0.3, 0, 40_000)[:, :3] - WANTED[:3]
-    assert np.mean(np.abs(pushes).max(1) > 0) == pytest.approx(PUSH_STEPS / PUSH_EVERY_STEPS, rel=0.1)
+    pushes = executed(0.3, 0, 400_000)[:, :3] - WANTED[:3]
+    assert np.mean(np.abs(pushes).max(1) > 0) == pytest.approx(PUSH_STEPS / PUSH_EVERY_STEPS, rel=0.02)
     assert np.abs(pushes.mean(0)).max() < 0.003
 
 

@@ -36,6 +36,7 @@ def test_without_gl_libraries_the_message_names_the_debian_packages(without_gl):
 @pytest.mark.parametrize("wish", ["", *BACKENDS])
 def test_a_process_that_began_without_pictures_renders_them_later_whatever_was_wished(monkeypatch, wish):
     monkeypatch.setenv("MUJOCO_GL", wish)
+    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)  # which rendering in this process leaves behind
     graphics = find_graphics()
     if graphics.backend is None:
         pytest.skip(graphics.message)

@@ -106,8 +106,9 @@ def made_rows(chain: Chain, results: Results) -> list[tuple[str, str]]:
         ("plan", f"{plan.name}, digest {plan_digest(plan)}"),
         (
             "recordings",
-            f"seeds {_seeds(data.seed, data.episodes)} of each task, quality {data.quality:g}, pushes up to "
-            f"{data.disturbance:g}, {data.start}",
+            f"seeds {_seeds(data.seed, data.episodes)} of each task, quality {data.quality:g}, "
+            + (f"pushed by up to {data.disturbance:g} of an action, " if data.disturbance else "")
+            + data.start,
         ),
         ("asset pack", pack_name(chain.pack)),
         ("tau", f"{tau.rate:.1%} of decisions, seeds {_seeds(tau.seed, tau.episodes)} of each task"),

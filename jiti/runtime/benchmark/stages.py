@@ -71,13 +71,14 @@ class Stages:
 
     def recordings(self, task: str) -> Stage:
         data = self.plan.data
-        inputs = {
+        inputs: dict[str, Any] = {
             **self._scene(task),
             "episodes": data.episodes,
             "quality": data.quality,
-            "disturbance": data.disturbance,
             "seed": data.seed,
         }
+        if data.disturbance:  # only then, so that all others keep their keys
+            inputs["disturbance"] = data.disturbance
         return Stage("record", _plain(task), inputs)
 
     def labels(self, task: str) -> Stage:

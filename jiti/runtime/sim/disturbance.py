@@ -6,9 +6,9 @@ learns from undisturbed demonstrations alone never sees where their own small er
 
 import numpy as np
 
-PUSH_EVERY_STEPS = 40
-"""Steps of 1/20 s from the beginning of a push to that of the next, on average. Our choice: the hand comes to rest in
-between, so that what wants to be precise can be."""
+PUSH_EVERY_STEPS = 39
+"""Steps of 1/20 s from the beginning of a push to that of the next, on average; a push may follow another at once. Our
+choice: mostly the hand comes to rest in between, so that what wants to be precise can be."""
 PUSH_STEPS = 6
 """How long a push lasts. Our choice: at a strength of 0.3, it moves the hand by up to some 2 cm."""
 
@@ -25,7 +25,7 @@ class Disturbance:
         """The action (7,) as it is executed, its translation in -1 to 1."""
         if not self._strongest:
             return action
-        if not self._left and self._random.random() < 1 / (PUSH_EVERY_STEPS - PUSH_STEPS):
+        if not self._left and self._random.random() < 1 / (PUSH_EVERY_STEPS - PUSH_STEPS + 1):
             self._left = PUSH_STEPS
             way = self._random.normal(size=3)
             self._push = way / np.linalg.norm(way) * self._random.uniform(0, self._strongest)

@@ -92,7 +92,7 @@ class ElegantEnv(gym.Env):
         self.scene.reset(seed, (options or {}).get("start", self._start))
         self.monitor.begin()
         self._steps = self._settled = 0
-        return self._observe(), {"is_success": False, "seed": seed}
+        return self.observe(), {"is_success": False, "seed": seed}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Raises UsageError for an action of another shape."""
@@ -112,7 +112,7 @@ class ElegantEnv(gym.Env):
             outcome = self.monitor.outcome()
             reward = float(outcome.elegant)
             info |= {"is_elegant": outcome.elegant, "itcs": outcome.to_json()["itcs"]}
-        return self._observe(), reward, terminated, truncated, info
+        return self.observe(), reward, terminated, truncated, info
 
     def render(self) -> np.ndarray:
         """The front camera's view. Raises UsageError without a GL library."""
@@ -124,11 +124,8 @@ class ElegantEnv(gym.Env):
     def close(self) -> None:
         self.scene.close()
 
-    def _touched(self) -> bool:
-        things = [n for n in self.scene.interest if n not in self.scene.world.names.regions]
-        return any(GRIPPER in pair for pair in self.scene.world.contacts((*things, GRIPPER)))
-
-    def _observe(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
+        """The observation of the state as it is; `reset` and `step` give it as well."""
         seen: dict[str, Any] = {
             "agent_pos": proprio(self.scene),
             "environment_state": scene_vector(self.scene, self._order),
@@ -136,6 +133,10 @@ class ElegantEnv(gym.Env):
         if self.scene.cameras:
             seen["pixels"] = {camera: self.scene.render(camera) for camera in self.scene.cameras}
         return seen
+
+    def _touched(self) -> bool:
+        things = [n for n in self.scene.interest if n not in self.scene.world.names.regions]
+        return any(GRIPPER in pair for pair in self.scene.world.contacts((*things, GRIPPER)))
 
 
 def _register_all() -> None:

@@ -209,6 +209,11 @@ def recorded_metadata(path: Path) -> Mapping[str, str]:
     return {key: value for record in records for key, value in record.items()}
 
 
+def differing(found: Mapping[str, str], wanted: Mapping[str, str]) -> list[str]:
+    """The keys of what a plan writes of itself whose values a recording's metadata does not have."""
+    return [key for key, value in wanted.items() if found.get(key, _WITHOUT.get(key)) != value]
+
+
 def _is_kept(path: Path, plan: Plan, number: int, graphics: Graphics) -> bool:
     if not path.exists():
         return False
@@ -216,9 +221,7 @@ def _is_kept(path: Path, plan: Plan, number: int, graphics: Graphics) -> bool:
     if OUTCOME not in found:
         raise UsageError(f"{path} is another recording, and recordings are not replaced. Move that file away.")
     other = [
-        f"{key} {found.get(key) or 'none'!r} and not {value or 'none'!r}"
-        for key, value in wanted.items()
-        if found.get(key, _WITHOUT.get(key)) != value
+        f"{key} {found.get(key) or 'none'!r} and not {wanted[key] or 'none'!r}" for key in differing(found, wanted)
     ]
     if other:
         raise UsageError(

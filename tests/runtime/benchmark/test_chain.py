@@ -10,10 +10,11 @@ from jiti.errors import UsageError
 from jiti.runtime.benchmark import about, kept
 from jiti.runtime.benchmark import chain as chain_module
 from jiti.runtime.benchmark.command import report, run_chain
+from jiti.runtime.benchmark.make import recordings_plan
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column, CriticPlan, DataPlan, PolicyPlan, RolloutsPlan
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.stages import in_order
-from jiti.tasks.catalogue import Catalogue
+from jiti.tasks.catalogue import Catalogue, load_catalogue
 from tests.builders.benchmark import Pretended, chain_of
 
 PLAN = BenchmarkPlan(
@@ -113,6 +114,14 @@ def test_times_are_of_rollouts_that_were_played_for_them(tmp_path):
     )
     assert {kind for kind, _ in after - before} == {"rollouts"}
     assert {kind for kind, _ in after & before} == {"record", "autolabel", "curate", "policies", "critics", "tau"}
+
+
+def test_pushes_are_a_matter_of_the_recordings_and_without_them_nothing_has_another_name(tmp_path):
+    pushed = replace(PLAN, data=replace(PLAN.data, disturbance=0.3))
+    calm, other = (chain_of(plan, tmp_path).stages.recordings("elegant/T2") for plan in (PLAN, pushed))
+    assert "disturbance" not in calm.inputs
+    assert calm.key != other.key
+    assert recordings_plan(pushed, load_catalogue().task("elegant/T2"), None).disturbance == 0.3
 
 
 def test_another_scene_or_asset_pack_of_the_same_name_makes_everything_anew(pretended, tmp_path):
