@@ -113,6 +113,11 @@ def load_critic(source: str | Path, *, device: str = "cpu") -> Critic:
     folder = _folder(source)
     try:
         config = json.loads((folder / "config.json").read_bytes())
+        if not {"version", "sizes", "network"} & config.keys():
+            raise SourceError(
+                f"{folder} is no critic: its config.json is of something else. Train one with "
+                "`jiti train-critic DATASET --out RUN`."
+            )
         if config["version"] != VERSION:
             raise SourceError(
                 f"{folder}: a critic of version {config['version']}; this jiti reads {VERSION}. Update jiti."
@@ -126,7 +131,7 @@ def load_critic(source: str | Path, *, device: str = "cpu") -> Critic:
             f"{folder} is no critic: {error.filename} cannot be read ({error.strerror}). Train one with "
             "`jiti train-critic DATASET --out RUN`."
         ) from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SourceError(f"{folder / 'config.json'} is damaged: {error!r}. Train again, or copy it again.") from error
     trunk = empty_backbone(described, sizes.features, sizes.action) if described else _transformer(network, sizes)
     critic = _of_trunk(trunk, network, sizes, limits, config)

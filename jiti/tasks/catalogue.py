@@ -83,7 +83,7 @@ class Catalogue:
         what = f"{name!r} is the end of several tasks' ids" if found else f"no task of simulation is {name!r}"
         if any(name in (task.task_id, task.task_id.rpartition("/")[2]) for task in self.tasks if not task.bddl):
             hint += "It is a task of an arm: pass --robot so100. "
-        raise CatalogueError(f"{what}; {hint}There are: {', '.join(ids)}.")
+        raise CatalogueError(f"{what}; {hint}{'There' if hint else 'there'} are: {', '.join(ids)}.")
 
     def for_episode(self, episode: "Episode") -> Task:
         """The task that its recorder named, else the one that matches its instruction, else a generic one."""

@@ -139,7 +139,7 @@ def test_what_is_no_policy_or_another_kind_is_refused(flow, tmp_path, monkeypatc
         open_extractor(f"policy:{tmp_path}", SHAPES)
     with pytest.raises(UsageError, match="type state_flow, not smolvla"):
         open_extractor(f"smolvla:{flow}", SHAPES)
-    with pytest.raises(UsageError, match="no folder here"):
+    with pytest.raises(UsageError, match="there is no such folder"):
         open_extractor("policy:not a name", SHAPES)
     (tmp_path / "config.json").write_text(json.dumps({"type": "gpt"}))
     with pytest.raises(UsageError, match="gpt"):

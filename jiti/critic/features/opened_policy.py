@@ -91,10 +91,13 @@ def checkpoint_folder(argument: str) -> Path:
             if (folder / "config.json").is_file():
                 return folder
         raise UsageError(f"{path} has neither config.json nor {_LAST}. Pass a checkpoint of lerobot-train.")
+    if path.is_absolute() or len(path.parts) != 2:
+        raise UsageError(f"{argument}: there is no such folder, and a Hub id has the form USER/NAME. Check the path.")
     try:
         return Path(snapshot_download(argument, allow_patterns=list(_WANTED)))
     except (HfHubHTTPError, HFValidationError, LocalEntryNotFoundError, OSError) as error:
-        raise UsageError(f"{argument} is no folder here, and the Hub does not give it: {error}") from error
+        told = " ".join(str(error).split())
+        raise UsageError(f"{argument} is no folder here, and the Hub does not give it: {told}") from error
 
 
 def _pictures(argument: str, seen: Mapping[str, Any], shapes: Shapes) -> dict[str, str]:

@@ -9,14 +9,14 @@ from jiti.runtime.benchmark.cells import Estimate
 
 WIDTH = 940
 NAMES, ROW, GROUP_GAP, TOP, RIGHT = 250, 20, 12, 10, 200
-COLOURS = 8
+COLOURS = 10
 """Of columns, in the page's style; more begin again."""
 
 STYLE = """
 body { max-width: 1280px }
 td:first-child, td.n { white-space: nowrap }
 .c0 { fill: #7a8699 } .c1 { fill: #3f6fb0 } .c2 { fill: #b08a3f } .c3 { fill: #2a8f5b } .c4 { fill: #8a5bb0 }
-.c5 { fill: #c8503c } .c6 { fill: #4aa3a8 } .c7 { fill: #a8527f }
+.c5 { fill: #c8503c } .c6 { fill: #4aa3a8 } .c7 { fill: #a8527f } .c8 { fill: #6f7f2f } .c9 { fill: #d49a8c }
 .whisker { stroke: var(--ink, #1c2330); stroke-width: 1.4; fill: none }
 .paper { fill: none; stroke: var(--ink, #1c2330); stroke-width: 1.6 }
 .line { fill: none; stroke: #2a8f5b; stroke-width: 2 }

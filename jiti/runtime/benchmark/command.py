@@ -23,6 +23,7 @@ from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.benchmark.remaining import duration
 from jiti.runtime.benchmark.stages import KINDS, REPORT
 from jiti.runtime.benchmark.tables import MISSING, in_percent, make_report
+from jiti.runtime.rollout.run import make_out
 from jiti.runtime.workers import alone
 from jiti.tasks.catalogue import Catalogue, load_catalogue
 
@@ -71,6 +72,8 @@ class Done:
             lines.append(f"  {column.shown:<{width}}  {esr:>18}   success {success}{beside}")
         if missing := self.content["missing"]:
             lines.append(f"{len(missing)} cells are missing.")
+        if self.plan.quick:
+            lines.append("Made with --quick: it shows that it runs, and the figures mean nothing.")
         return "\n".join([*lines, f"All tables: {self.page}"])
 
     def to_json(self) -> str:
@@ -85,11 +88,19 @@ def resolved(request: Request, catalogue: Catalogue) -> BenchmarkPlan:
     """The plan that a request is about. Raises UsageError."""
     plan = read_plan(request.plan, catalogue)
     if request.quick:
-        plan = smaller(plan)
+        plan = smaller(plan, next(iter(_tasks(request, plan, catalogue)), None))
     if request.episodes is not None:
         rollouts = replace(plan.rollouts, episodes=request.episodes, tuning_episodes=request.episodes)
         plan = replace(plan, rollouts=rollouts)
     return replace(plan, tuning=request.tuning)
+
+
+def _tasks(request: Request, plan: BenchmarkPlan, catalogue: Catalogue) -> tuple[str, ...]:
+    """Those of --tasks. Raises UsageError for one that the plan does not play."""
+    tasks = tuple(catalogue.simulated(name).task_id for name in request.tasks)
+    if unknown := [task for task in tasks if task not in plan.tasks]:
+        raise UsageError(f"--tasks {unknown[0]}: the plan plays {', '.join(plan.tasks)}.")
+    return tasks
 
 
 def run_request(request: Request, progress: Progress, say: Say) -> Done:
@@ -98,9 +109,9 @@ def run_request(request: Request, progress: Progress, say: Say) -> Done:
     plan = resolved(request, catalogue)
     _check(request)
     columns = tuple(plan.column(name) for name in request.columns) or plan.columns
-    tasks = tuple(catalogue.simulated(name).task_id for name in request.tasks) or plan.tasks
-    if unknown := [task for task in tasks if task not in plan.tasks]:
-        raise UsageError(f"--tasks {unknown[0]}: the plan plays {', '.join(plan.tasks)}.")
+    tasks = plan.tasks if request.quick else _tasks(request, plan, catalogue) or plan.tasks
+    if request.quick and len(request.tasks) > 1:
+        say(f"--quick plays one task, {plan.tasks[0]}")
     workers = request.workers or cores()
     chain = Chain(Work(request.out), plan, catalogue, columns, tasks, request.assets, workers, say=say)
     run_chain(chain, tuple(kind for kind in request.only if kind != REPORT), progress, skip=request.only == (REPORT,))
@@ -111,6 +122,7 @@ def run_chain(chain: Chain, only: Sequence[str], progress: Progress, *, skip: bo
     """Run a chain alone in its folder, and remember that it ran."""
     if skip:
         return
+    make_out(chain.work.out)
     marks = chain.work.out / "stages"  # and not the folder itself, which `jiti record` keeps for itself in a demo
     make_folder(marks)
     from jiti.runtime.rollout.plan_file import hardware

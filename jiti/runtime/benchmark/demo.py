@@ -22,7 +22,7 @@ from jiti.runtime.benchmark.make import recordings_plan
 from jiti.runtime.benchmark.plan import BenchmarkPlan, smaller
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.runtime.sim.gl import Graphics, find_graphics
-from jiti.runtime.sim.record import Plan, Recorded, record, recorded_metadata
+from jiti.runtime.sim.record import Plan, Recorded, differing, record, recorded_metadata
 from jiti.runtime.sim.record_episode import OUTCOME
 from jiti.runtime.sim.scene import CAMERAS
 from jiti.tasks.catalogue import load_catalogue
@@ -72,7 +72,7 @@ class Demonstrated:
             ("jiti rollout", "more rollouts with the policy and the critic that are here"),
             (f"jiti train-critic --evaluate {self._under('critic')}", "how well the critic ranks"),
             (f"jiti inspect {self._under('rollouts')}", "recordings of the rollouts"),
-            (f"{self._under('dataset')}/meta/jiti/report.html", "the dataset"),
+            (f"jiti curate --report {self._under('dataset')}", "the dataset, as a page"),
             (str(self.done.page.relative_to(self.folder)), "this run's figures"),
         )
         width = max(len(what) for what, _ in opens)
@@ -192,8 +192,7 @@ def _is_first(path: Path, plan: Plan, graphics: Graphics) -> bool:
     found = recorded_metadata(path)
     if OUTCOME not in found:
         raise UsageError(f"{path} is another recording, and recordings are not replaced. Move that file away.")
-    wanted = plan.about(0, graphics)
-    return all(found.get(key) == wanted[key] for key in wanted.keys() - {"cameras", "picture_size"})
+    return not set(differing(found, plan.about(0, graphics))) - {"cameras", "picture_size"}
 
 
 def _check(recorded: Sequence[Recorded], episodes: dict[str, Episode]) -> None:

@@ -289,10 +289,10 @@ class BenchmarkPlan:
                     )
 
 
-def smaller(plan: BenchmarkPlan) -> BenchmarkPlan:
-    """A plan of the same columns that ends in minutes and proves nothing but that it runs: one task, one training seed,
-    a few steps."""
-    task = plan.tasks[0]
+def smaller(plan: BenchmarkPlan, task: str | None = None) -> BenchmarkPlan:
+    """A plan of the same columns that ends in minutes and proves nothing but that it runs: one task, by default the
+    first, one training seed, a few steps."""
+    task = task or plan.tasks[0]
     taught = task if task in plan.critic_tasks else plan.critic_tasks[0]
     tasks = tuple(dict.fromkeys((task, taught)))
     return replace(

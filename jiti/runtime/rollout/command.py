@@ -14,9 +14,9 @@ from jiti.runtime.rollout.branch import branch
 from jiti.runtime.rollout.find import newest_critic, newest_policy, newest_task
 from jiti.runtime.rollout.live import watch_live
 from jiti.runtime.rollout.plan import ROLLOUT_SEED, RolloutPlan, parse_guidance
-from jiti.runtime.rollout.plan_file import policy_folder
+from jiti.runtime.rollout.plan_file import check_folder, policy_folder
 from jiti.runtime.rollout.report import Report
-from jiti.runtime.rollout.run import run_rollouts
+from jiti.runtime.rollout.run import make_out, run_rollouts
 from jiti.runtime.rollout.tau import (
     CALIBRATION_EPISODES,
     CALIBRATION_SEED,
@@ -139,6 +139,9 @@ def run_request(
     tool = _Tool(request, plan, folder, episodes, progress, say, make_agent)
     if request.calibrate_tau is not None:
         return tool.calibrate_alone(request.calibrate_tau)
+    make_out(folder)
+    if not request.branch:
+        check_folder(folder, plan)  # before tau is calibrated for it
     plan, taken = tool.guided()
     if request.branch:
         if not plan.cameras and request.cameras is None and find_graphics().backend:

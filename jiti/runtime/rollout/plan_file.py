@@ -66,26 +66,11 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
 
     Raises UsageError that names what differs from the rollouts that are there.
     """
-    policy = fingerprint(policy_folder(plan.policy))
+    shared, before = _shared(plan), check_folder(folder, plan)
     critic = fingerprint(critic_folder(plan.critic)) if plan.critic is not None else None
-    shared = {**plan.shared(), "policy": policy}
     methods = {label_of(guidance): settings_of(guidance, critic) for guidance in plan.guidances}
-    path = folder / ROLLOUTS_FILE
-    before: dict[str, Any] = {}
-    if path.exists():
-        before = _played_before(folder, shared)
-    if before:
-        known = {label: before["methods"][label] for label in methods if label in before["methods"]}
-        there = {**before["shared"], **_flat(known)}
-        wanted = {**shared, **_flat({label: methods[label] for label in known})}
-        differs = [
-            f"{key} {there.get(key)!r} and not {value!r}" for key, value in wanted.items() if there.get(key) != value
-        ]
-        if differs:
-            raise UsageError(
-                f"{folder} holds rollouts with {', '.join(differs)}. Choose another folder with --out, or delete that "
-                "one."
-            )
+    known = {label: before["methods"][label] for label in methods if before and label in before["methods"]}
+    _check_same(folder, _flat(known), _flat({label: methods[label] for label in known}))
     content = {
         "format": ROLLOUTS_FORMAT,
         "shared": shared,
@@ -93,8 +78,37 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
         "sources": _sources(plan, methods, before),
         "runs": [*before.get("runs", ()), _this_run(plan)],
     }
-    write_atomic(path, json.dumps(content, indent=2).encode())
+    write_atomic(folder / ROLLOUTS_FILE, json.dumps(content, indent=2).encode())
     return content
+
+
+def check_folder(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
+    """What was played in a folder before, as `plan.json` has it; empty where nothing was.
+
+    Raises UsageError where it was another task, scene or policy, SourceError where the file is no plan.
+    """
+    if not (folder / ROLLOUTS_FILE).exists():
+        return {}
+    shared = _shared(plan)
+    before = _played_before(folder, shared)
+    if before:
+        _check_same(folder, before["shared"], shared)
+    return before
+
+
+def _shared(plan: RolloutPlan) -> dict[str, Any]:
+    return {**plan.shared(), "policy": fingerprint(policy_folder(plan.policy))}
+
+
+def _check_same(folder: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Of another task all else differs too, and says nothing."""
+    different = [key for key, value in wanted.items() if there.get(key) != value]
+    if different:
+        shown = ["task"] if "task" in different else different
+        differs = [f"{key} {there.get(key)!r} and not {wanted[key]!r}" for key in shown]
+        raise UsageError(
+            f"{folder} holds rollouts with {', '.join(differs)}. Choose another folder with --out, or delete that one."
+        )
 
 
 def _played_before(folder: Path, shared: Mapping[str, Any]) -> dict[str, Any]:

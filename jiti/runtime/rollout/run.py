@@ -2,7 +2,7 @@
 
 import multiprocessing
 from collections.abc import Generator, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -115,8 +115,12 @@ def run_rollouts(
                 for count, job in enumerate(done, start=1):
                     share = (len(jobs) - len(missing) + count) / len(jobs)
                     report(share, f"played {job.label} {job.plan.stem(job.number)}")
-        finally:
-            tabulate(folder)
+        except BaseException:
+            # What stopped it is told, and not what writing tables, which imports pandas, then stumbles over.
+            with suppress(Exception):
+                tabulate(folder)
+            raise
+        tabulate(folder)
     return results(jobs)
 
 

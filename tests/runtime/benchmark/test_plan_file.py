@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from jiti.errors import UsageError
+from jiti.runtime.benchmark.command import Request, resolved
 from jiti.runtime.benchmark.plan import smaller
 from jiti.runtime.benchmark.plan_file import read_plan, shipped_plans
 from jiti.tasks.catalogue import Catalogue, load_catalogue
@@ -87,6 +88,7 @@ def test_a_plan_has_what_its_file_says(tmp_path):
         ("episodes = 10", "episode = 10", 5, "data has no key 'episode'; did you mean 'episodes'?"),
         ("episodes = 10", 'episodes = "ten"', 5, "data.episodes is 'ten'; it must be a whole number"),
         ("episodes = 10", "quality = 2", 5, "data.quality is 2; it must be from 0 to 1"),
+        ("episodes = 10", "disturbance = 2", 5, "data.disturbance is 2; it must be from 0 to 1"),
         ("[critic]", "[critics]", 7, "a plan has no 'critics'; did you mean 'critic'?"),
         ('tasks = ["elegant/T0"]', 'tasks = ["elegant/T1"]', 8, "critic.tasks is 'elegant/T1'; did you mean"),
         ('method = "jiti"', 'method = "jitty"', 21, "column.method is 'jitty'; did you mean 'jiti'?"),
@@ -167,3 +169,10 @@ def test_what_is_no_plan_is_refused(tmp_path):
         read_plan(write(tmp_path, "tasks = ["))
     with pytest.raises(UsageError, match=r"needs a section \[data\]"):
         read_plan(write(tmp_path, 'title = "nothing"'))
+
+
+def test_a_quick_run_is_of_the_task_that_was_asked_for():
+    assert resolved(Request(quick=True, tasks=("T2",)), load_catalogue()).tasks == ("elegant/T2",)
+    assert resolved(Request(quick=True), load_catalogue()).tasks == ("elegant/T0",)
+    with pytest.raises(UsageError, match="--tasks rq3/seen-A: the plan plays elegant/T0, elegant/T1"):
+        resolved(Request(quick=True, tasks=("rq3/seen-A",)), load_catalogue())

@@ -105,9 +105,12 @@ def test_what_does_not_fit_together_is_told_before_anything_is_done(sampler, sco
     wider = open_scorer(tiny_critic(tmp_path / "wider", size=14))
     with pytest.raises(UsageError, match="1 x 14 numbers, and state gives 1 x 13"):
         check_pair(sampler, wider, observation())
-    with pytest.raises(UsageError, match="no folder here"):
+    with pytest.raises(UsageError, match="there is no such folder"):
         open_scorer(tiny_critic(tmp_path / "gone", features="policy:not a name"))
     with pytest.raises(SourceError, match="no critic"):
+        open_scorer(tmp_path)
+    (tmp_path / "config.json").write_text('{"type": "state_flow"}')
+    with pytest.raises(SourceError, match=r"no critic: its config\.json is of something else"):
         open_scorer(tmp_path)
 
 

@@ -171,6 +171,17 @@ def test_a_file_in_the_place_of_the_folder_is_refused(here, tmp_path, way):
 
 
 @pytest.mark.sim
+def test_a_folder_of_another_task_is_refused_before_tau_is_calibrated(here, tmp_path):
+    asked = replace(SHORT, task="T2", guidance=("none",), out=tmp_path / "out")
+    ask(asked, here)
+    with pytest.raises(
+        UsageError, match=r"holds rollouts with task 'elegant/T2' and not 'elegant/T4'\. Choose another"
+    ):
+        ask(replace(asked, task="T4", guidance=("jiti",)), here)
+    assert not (tmp_path / "out/calibration").exists()
+
+
+@pytest.mark.sim
 def test_one_episode_is_continued_in_several_ways_from_its_first_trigger(here, tmp_path):
     from jiti.runtime.rollout.branch import Branched, branch
     from jiti.runtime.rollout.plan import RolloutPlan

@@ -15,6 +15,7 @@ from jiti.episodes.episode import numbers
 from jiti.episodes.reader import open_reader
 from jiti.errors import SourceError, UsageError
 from jiti.runtime.guidance import Guidance
+from jiti.runtime.rollout import run as run_module
 from jiti.runtime.rollout.plan import RolloutPlan
 from jiti.runtime.rollout.plan_file import enter_plan
 from jiti.runtime.rollout.result import load_result
@@ -213,7 +214,7 @@ def test_a_folder_takes_no_rollouts_of_another_plan(played, tmp_path):
         "device 'cpu' and not 'cuda'": replace(plan, device="cuda"),
         "start 'jitter' and not 'file'": replace(plan, start="file"),
         r"jiti tau 1\.0 and not 2\.0": replace(plan, guidances=(Guidance("jiti", tau=2.0),)),
-        "task 'elegant/T2' and not 'elegant/T0'": replace(plan, task=_task("elegant/T0")),
+        r"with task 'elegant/T2' and not 'elegant/T0'\.": replace(plan, task=_task("elegant/T0")),
     }
     before = (out / "plan.json").read_bytes()
     for said, wanted in cases.items():
@@ -340,6 +341,27 @@ def test_actions_that_are_no_numbers_end_the_run_with_the_seed_and_leave_no_file
     with pytest.raises(UsageError, match="no number at step 0 of the episode with seed 7"):
         run_rollouts(plan, tmp_path / "out", episodes=1, workers=1, make_agent=rollout_agents.broken)
     assert not list((tmp_path / "out").glob("*/*"))
+
+
+@sim
+def test_what_stopped_a_run_is_told_and_not_that_its_tables_could_not_be_written(plan, tmp_path, monkeypatch):
+    def stumble(_folder):
+        raise AttributeError("a library was interrupted while it was imported")
+
+    def stop(_share, _what):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_module, "tabulate", stumble)
+    with pytest.raises(KeyboardInterrupt):
+        run_rollouts(
+            plan, tmp_path / "out", episodes=1, workers=1, make_agent=wandering, progress=only_when_playing(stop)
+        )
+    with pytest.raises(AttributeError):
+        run_rollouts(plan, tmp_path / "out", episodes=1, workers=1, make_agent=wandering)
+
+
+def only_when_playing(stop):
+    return lambda share, what: stop(share, what) if what.startswith("played") else None
 
 
 @pytest.mark.slow
