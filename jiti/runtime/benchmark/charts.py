@@ -14,6 +14,8 @@ COLOURS = 10
 
 STYLE = """
 body { max-width: 1280px }
+th, td { padding: 6px 7px }
+th { white-space: normal; vertical-align: bottom }
 td:first-child, td.n { white-space: nowrap }
 .c0 { fill: #7a8699 } .c1 { fill: #3f6fb0 } .c2 { fill: #b08a3f } .c3 { fill: #2a8f5b } .c4 { fill: #8a5bb0 }
 .c5 { fill: #c8503c } .c6 { fill: #4aa3a8 } .c7 { fill: #a8527f } .c8 { fill: #6f7f2f } .c9 { fill: #d49a8c }

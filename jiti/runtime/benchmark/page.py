@@ -11,6 +11,7 @@ from jiti.runtime.benchmark.tables import Chart, Report, Section, TextTable
 
 HTML, MARKDOWN, NUMBERS = "report.html", "report.md", "report.json"
 PLOTS = "plots"
+KEY = "Diamonds are the paper's figures, whiskers 95% intervals."
 _ALONE = "text { font: 12px system-ui, sans-serif; fill: #5d6778 } text.head { font-weight: 600; fill: #1c2330 } "
 _ALONE += ".grid { stroke: #dde2ea }"
 """Style of a chart that is a file of its own."""
@@ -33,9 +34,8 @@ def to_html(report: Report) -> str:
     """The page."""
     lead = "".join(f"<p>{escape(text)}</p>" for text in report.lead)
     sections = "\n".join(f"<section><h2>{escape(s.title)}</h2>\n{_html(s)}</section>" for s in report.sections)
-    key = "Diamonds are the paper's figures, whiskers 95% intervals."
     style = f"{STYLE}{charts.STYLE}"
-    return document(report.title, f"<h1>{escape(report.title)}</h1>\n{lead}<p>{key}</p>\n{sections}", style=style)
+    return document(report.title, f"<h1>{escape(report.title)}</h1>\n{lead}<p>{KEY}</p>\n{sections}", style=style)
 
 
 def _html(section: Section) -> str:
@@ -61,6 +61,7 @@ def to_markdown(report: Report) -> str:
     lines = [f"# {report.title}", ""]
     for text in report.lead:
         lines += [text, ""]
+    lines += [KEY, ""]
     for section in report.sections:
         lines += [f"## {section.title}", ""]
         for part in section.parts:
