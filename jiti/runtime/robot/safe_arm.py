@@ -257,7 +257,7 @@ class SafeArm:
             self._bus.port_handler.openPort()
         except (RobotError, *servos.CABLE_OUT):
             return False
-        self._bus.port_handler.ser.write_timeout = servos.WRITE_S
+        servos.prepare(self._bus)
         return True
 
     def _send(self, goal: Joints) -> None:

@@ -4,9 +4,11 @@ lerobot raises ConnectionError where there is no answer or a damaged one, Runtim
 and lets `termios.error` and OSError through when the cable is out. Its `disconnect` ends at the first of these.
 """
 
+import errno
 import termios
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -33,8 +35,25 @@ def connect(bus: "FeetechMotorsBus") -> None:
                 raise
             bus.port_handler.closePort()
         else:
-            bus.port_handler.ser.write_timeout = WRITE_S
+            prepare(bus)
             return
+
+
+def prepare(bus: "FeetechMotorsBus") -> None:
+    """Of a port that was just opened: writing ends, and a signal is none of its errors."""
+    serial = bus.port_handler.ser
+    serial.write_timeout = WRITE_S
+    serial.flush = partial(_uninterrupted, serial.flush)
+
+
+def _uninterrupted(flush: Callable[[], None]) -> None:
+    """`termios.tcdrain` is not called again after a signal, as Python's other calls are (PEP 475)."""
+    while True:
+        try:
+            return flush()
+        except termios.error as error:
+            if error.args[0] != errno.EINTR:
+                raise
 
 
 def tried[T](bus: "FeetechMotorsBus", work: Callable[[], T]) -> T:

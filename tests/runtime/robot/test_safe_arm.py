@@ -2,12 +2,13 @@
 
 import json
 import math
+import signal
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
-from time import sleep
+from time import monotonic, sleep
 
 import pytest
 
@@ -193,6 +194,24 @@ def test_a_corrupt_line_is_borne(arm, opened, torque):
         sweep(safe, 150)
         assert safe.misread > 0
     assert torque() == OFF
+
+
+def test_signals_in_the_middle_of_an_exchange_are_no_cable_that_is_out(arm, opened):
+    heard = []
+    before = signal.signal(signal.SIGALRM, lambda *_: heard.append(monotonic()))
+    try:
+        with opened() as safe:
+            safe.engage()
+            signal.setitimer(signal.ITIMER_REAL, 0.0005, 0.0005)
+            end = monotonic() + 4
+            while monotonic() < end:
+                safe.observe()
+                safe.hold()
+            signal.setitimer(signal.ITIMER_REAL, 0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert len(heard) > 1000
 
 
 def test_a_line_that_stays_corrupt_is_given_up(arm, opened, torque):
