@@ -18,7 +18,7 @@ from tests.builders.robot_record import at_terminal, jiti
 pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
 pytestmark = [pytest.mark.browser, pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(1200)]
-DEMONSTRATIONS, STEPS, CHUNK = 6, 1000, 30
+DEMONSTRATIONS, STEPS, CHUNK, ROLLOUTS = 6, 1000, 30, 3
 FEATURES = """
 [features."observation.state"]
 streams = ["/joints"]
@@ -48,8 +48,9 @@ def annotate(serve, screen, folder: Path) -> list[tuple[str, int]]:
 
 
 def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, tmp_path):
-    """It sees its joints alone, and goes on when the drawer is shut, until a servo is overloaded in one rollout of
-    five: so it is ended by a key once the drawer is less than half open, as a person would."""
+    """It sees its joints alone, so that one rollout in ten misses the drawer, and goes on when that is shut, until a
+    servo is overloaded in one of five: so there are three, and each is ended by a key once the drawer is less than half
+    open, as a person would."""
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
     with at_terminal(command, tmp_path / "said.txt") as keyboard:
@@ -70,26 +71,40 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
         "--dataset.root=dataset", "--output_dir=run", f"--steps={STEPS}", f"--save_freq={STEPS}",
         f"--policy.chunk_size={CHUNK}", f"--policy.n_action_steps={CHUNK}",
     )  # fmt: skip
-    with VirtualArm("so100/T5", seed=50) as arm:
+    with VirtualArm("so100/T5") as arm:
         config = tmp_path / "arm.toml"
         folder = str(arm.calibration_dir)
         robot_record.write_settings(config, RobotSettings(port=arm.port, id=arm.id, calibration_dir=folder, lost_s=1.0))
-        before = arm.state().drawers["top_drawer"]
-        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "30", "--out", "rollouts"]
-        asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", "1", *options]
+        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "20", "--out", "rollouts"]
+        asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", str(ROLLOUTS), *options]
         with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
             keyboard.wait_for("[Enter] begin", seconds=120)
-            keyboard.press("\n", "Enter ends an episode", 120)
-            keyboard.watch(lambda: arm.state().drawers["top_drawer"] < before / 2, seconds=90)
-            keyboard.press("\n", "Did it succeed?", 120)
-            keyboard.press("y", "The drawer must be closed smoothly")
-            keyboard.press("n", "[Enter] tell")
+            closed = [closes(arm, keyboard, number) for number in range(ROLLOUTS)]
             keyboard.press("\n", "Judged by a person, 95% intervals by Wilson")
             assert keyboard.program.wait(60) == 0
-        after = arm.state().drawers["top_drawer"]
-    assert before > 0.07
-    assert after < before - 0.02, "metres that it stands open"
-    (row,) = pq.read_table(tmp_path / "rollouts" / "evaluation.parquet").to_pylist()
-    assert (row["guidance"], row["success"], dict(row["itcs"])) == ("none", True, {"so100/T5/shut-smoothly": False})
-    (label,) = read_segments(tmp_path / "rollouts" / "judged" / "labels").to_pylist()
-    assert (label["source"], label["reward"]) == ("human", 0)
+    assert any(closed)
+    rows = pq.read_table(tmp_path / "rollouts" / "evaluation.parquet").to_pylist()
+    assert [(row["guidance"], row["success"]) for row in rows] == [("none", success) for success in closed]
+    assert [dict(row["itcs"]) for row in rows] == [{"so100/T5/shut-smoothly": False}] * ROLLOUTS
+    labels = read_segments(tmp_path / "rollouts" / "judged" / "labels").to_pylist()
+    assert [(label["source"], label["reward"]) for label in labels] == [("human", 0)] * ROLLOUTS
+
+
+def closes(arm: VirtualArm, keyboard: robot_record.Keyboard, number: int) -> bool:
+    """Lay out the things of an episode, begin it, end it by a key once the drawer is half shut, and judge it."""
+    arm.reset(50 + number)
+    before = arm.state().drawers["top_drawer"]
+    assert before > 0.04, "metres that it stands open"
+
+    def half_shut() -> bool:
+        return arm.state().drawers["top_drawer"] < before / 2
+
+    said = len(keyboard.said())
+    keyboard.press("\n", f"Episode {number + 1} of {ROLLOUTS}", 120)
+    keyboard.watch(lambda: half_shut() or "Did it succeed?" in keyboard.said()[said:], seconds=120)
+    if "Did it succeed?" not in keyboard.said()[said:]:
+        keyboard.press("\n", "Did it succeed?", 120)
+    closed = half_shut()
+    keyboard.press("y" if closed else "n", "The drawer must be closed smoothly")
+    keyboard.press("n", "[Enter] begin" if number + 1 < ROLLOUTS else "[Enter] tell")
+    return closed
