@@ -66,7 +66,8 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
 
     Raises UsageError that names what differs from the rollouts that are there.
     """
-    shared, before = _shared(plan), check_folder(folder, plan)
+    shared = _shared(plan)
+    before = _played_alike(folder, shared)
     critic = fingerprint(critic_folder(plan.critic)) if plan.critic is not None else None
     methods = {label_of(guidance): settings_of(guidance, critic) for guidance in plan.guidances}
     known = {label: before["methods"][label] for label in methods if before and label in before["methods"]}
@@ -82,14 +83,17 @@ def enter_plan(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
     return content
 
 
-def check_folder(folder: Path, plan: RolloutPlan) -> dict[str, Any]:
-    """What was played in a folder before, as `plan.json` has it; empty where nothing was.
+def check_folder(folder: Path, plan: RolloutPlan) -> None:
+    """Raises UsageError where another task, scene or policy was played in a folder, SourceError where its `plan.json`
+    is no plan."""
+    if (folder / ROLLOUTS_FILE).exists():
+        _played_alike(folder, _shared(plan))
 
-    Raises UsageError where it was another task, scene or policy, SourceError where the file is no plan.
-    """
+
+def _played_alike(folder: Path, shared: Mapping[str, Any]) -> dict[str, Any]:
+    """What was played in a folder before, with all of a plan's `shared` in common; empty where nothing was."""
     if not (folder / ROLLOUTS_FILE).exists():
         return {}
-    shared = _shared(plan)
     before = _played_before(folder, shared)
     if before:
         _check_same(folder, before["shared"], shared)
