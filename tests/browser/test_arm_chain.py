@@ -48,9 +48,8 @@ def annotate(serve, screen, folder: Path) -> list[tuple[str, int]]:
 
 
 def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, tmp_path):
-    """It sees its joints alone, so that some rollouts miss the drawer, and goes on when that is shut, until a
-    servo is overloaded in one of five: so there are five, and each is ended by a key once the drawer is less than half
-    open, as a person would."""
+    """It sees its joints alone, and does not know when the drawer is shut: each rollout is ended by a key once that is
+    less than half open, as a person would."""
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
     with at_terminal(command, tmp_path / "said.txt") as keyboard:
@@ -60,7 +59,9 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
         keyboard.press("\n", "[Enter] end", 120)
         keyboard.press("\n", f"{DEMONSTRATIONS} of {DEMONSTRATIONS} episodes")
         assert keyboard.program.wait(60) == 0
-    assert f"{DEMONSTRATIONS} proposals" in run(tmp_path, *jiti("autolabel", "demos", "--from", "signal"))
+    run(tmp_path, *jiti("autolabel", "demos", "--from", "signal"))
+    proposed = read_segments(tmp_path / "demos" / "labels").to_pylist()
+    assert len({row["episode_id"] for row in proposed if row["source"] == "signal"}) == DEMONSTRATIONS
     assert annotate(serve, screen, tmp_path) == [("so100-T5_0000", 1), ("so100-T5_0001", 0)]
     (tmp_path / "features.toml").write_text(FEATURES)
     options = ["--unlabelled", "keep", "--features", "features.toml", "--fps", "30"]
@@ -69,20 +70,20 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
         tmp_path, str(Path(sys.executable).with_name("lerobot-train")),
         "--policy.discover_packages_path=jiti.policies", f"--config_path={recipe_path('state_flow')}",
         "--dataset.root=dataset", "--output_dir=run", f"--steps={STEPS}", f"--save_freq={STEPS}",
-        f"--policy.chunk_size={CHUNK}", f"--policy.n_action_steps={CHUNK}",
+        f"--policy.chunk_size={CHUNK}", f"--policy.n_action_steps={CHUNK}", "--policy.frequencies=0",
     )  # fmt: skip
     with VirtualArm("so100/T5") as arm:
         config = tmp_path / "arm.toml"
         folder = str(arm.calibration_dir)
         robot_record.write_settings(config, RobotSettings(port=arm.port, id=arm.id, calibration_dir=folder, lost_s=1.0))
-        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "30", "--out", "rollouts"]
+        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "20", "--out", "rollouts"]
         asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", str(ROLLOUTS), *options]
         with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
             keyboard.wait_for("[Enter] begin", seconds=120)
             closed = [closes(arm, keyboard, number) for number in range(ROLLOUTS)]
             keyboard.press("\n", "Judged by a person, 95% intervals by Wilson")
             assert keyboard.program.wait(60) == 0
-    assert any(closed)
+    assert sum(closed) > ROLLOUTS / 2
     rows = pq.read_table(tmp_path / "rollouts" / "evaluation.parquet").to_pylist()
     assert [(row["guidance"], row["success"]) for row in rows] == [("none", success) for success in closed]
     assert [dict(row["itcs"]) for row in rows] == [{"so100/T5/shut-smoothly": False}] * ROLLOUTS
@@ -100,7 +101,7 @@ def closes(arm: VirtualArm, keyboard: robot_record.Keyboard, number: int) -> boo
         return arm.state().drawers["top_drawer"] < before / 2
 
     said = len(keyboard.said())
-    keyboard.press("\n", f"Episode {number + 1} of {ROLLOUTS}", 120)
+    keyboard.press("\n", "Space stops the arm at once", 120)
     keyboard.watch(lambda: half_shut() or "Did it succeed?" in keyboard.said()[said:], seconds=120)
     if "Did it succeed?" not in keyboard.said()[said:]:
         keyboard.press("\n", "Did it succeed?", 120)

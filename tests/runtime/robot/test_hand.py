@@ -7,7 +7,7 @@ from jiti.errors import UsageError
 from jiti.runtime.robot.virtual import registers as r
 from jiti.runtime.robot.virtual.demonstrator import REST, demonstrate, home, now
 from jiti.runtime.robot.virtual.faults import Faults
-from jiti.runtime.robot.virtual.hand import STRENGTH_NM, Path, smooth
+from jiti.runtime.robot.virtual.hand import STRENGTH_NM, Path, smooth, wander
 from jiti.runtime.robot.virtual.reach import Reach
 from jiti.runtime.robot.virtual.scenes import EMPTY, load
 from jiti.runtime.robot.virtual.world import World
@@ -41,6 +41,18 @@ def test_a_smooth_path_begins_and_ends_at_rest_and_paths_follow_each_other():
     speeds = np.diff(path.angles_rad[:, 0]) / np.diff(path.times_s)
     assert speeds.min() >= 0
     assert speeds[[0, -1]].max() < 0.05 < speeds.max()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_path_astray_begins_and_ends_as_it_was(seed):
+    path = smooth([np.zeros(6), np.full(6, 2.0)], 3.0)
+    strayed = wander(path, 0.1, np.random.default_rng(seed))
+    off = np.abs(strayed.angles_rad - path.angles_rad)
+    np.testing.assert_array_equal(strayed.times_s, path.times_s)
+    np.testing.assert_allclose(off[[0, -1]], 0, atol=1e-9)
+    assert (off.max(axis=0) > 0.005).all(), "every joint strays"
+    assert off.max() < 0.1
+    assert np.abs(np.diff(off, axis=0)).max() < 0.02, "radians in 20 ms: nothing jumps"
 
 
 @pytest.mark.parametrize(

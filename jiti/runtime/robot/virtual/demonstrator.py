@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jiti.errors import UsageError
-from jiti.runtime.robot.virtual.hand import Path, smooth
+from jiti.runtime.robot.virtual.hand import Path, smooth, wander
 from jiti.runtime.robot.virtual.reach import Reach
 from jiti.runtime.robot.virtual.world import MOUNTS, REST_RAD, State
 from jiti.runtime.sim.demonstrators import is_careful
@@ -25,6 +25,9 @@ BEFORE_M = 0.02
 """From the handle at first. Our choice: the fingers come down there."""
 PRESS_M = 0.004
 """How far beyond where it is shut it is pushed. Our choice: an arm in a spring's hand stays short of its place."""
+WANDER_RAD = 0.12
+"""How far each joint strays on the way to the handle. Our choice: no two ways are alike, as with people, and who learns
+from them sees how one comes back; the fingers stray some 3 cm, above all that stands there."""
 POINTS = 40
 """On a straight way, whose joints are in between."""
 
@@ -56,7 +59,7 @@ def close_drawer(state: State, random: np.random.Generator, manner: str) -> Path
     before, shut = opened + BEFORE_M, -PRESS_M
     folded = FOLDED + [at(before)[0], 0, 0, 0, 0, 0]
     path = smooth([now(state), FOLDED], 1.5).then(smooth([FOLDED, folded], random.uniform(0.8, 1.1)))
-    path = path.then(smooth([folded, at(before)], 1.0))
+    path = wander(path.then(smooth([folded, at(before)], 1.0)), WANDER_RAD, random)
     speed = random.uniform(0.04, 0.05)
     if manner == "stops on the way":
         halfway = opened * random.uniform(0.4, 0.6)

@@ -46,6 +46,18 @@ def smooth(places: Sequence[np.ndarray], lasts_s: float) -> Path:
     return Path(times, np.array([np.interp(progress, range(len(places)), joint) for joint in joints]).T)
 
 
+def wander(path: Path, size_rad: float, random: np.random.Generator) -> Path:
+    """The path with every joint astray by about `size_rad` on the way, and at neither end.
+
+    Each strays along three waves of 0.2 to 0.8 Hz, as slow as a hand that is not attended to (our choice).
+    """
+    waves = (3, path.angles_rad.shape[1])
+    hertz, phase = random.uniform(0.2, 0.8, waves), random.uniform(0, 2 * np.pi, waves)
+    turns = 2 * np.pi * hertz * path.times_s[:, None, None] + phase
+    amount = np.sin(np.pi * path.times_s / path.lasts_s)[:, None] ** 2
+    return Path(path.times_s, path.angles_rad + size_rad * amount * np.sin(turns).mean(axis=1))
+
+
 class Hand:
     """Has hold of an arm from a moment on, and keeps it at the path's end."""
 
