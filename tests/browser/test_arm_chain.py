@@ -19,6 +19,8 @@ pytest.importorskip("lerobot", reason="pip install 'jiti[robot]'")
 pytest.importorskip("scservo_sdk", reason="pip install 'jiti[robot]'")
 pytestmark = [pytest.mark.browser, pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(1200)]
 DEMONSTRATIONS, STEPS, CHUNK, ROLLOUTS = 10, 2500, 30, 5
+GAP_M = 0.02
+"""What may be left of the 5 to 8 cm that the drawer stands open."""
 FEATURES = """
 [features."observation.state"]
 streams = ["/joints"]
@@ -36,20 +38,23 @@ def run(folder: Path, *command: str) -> str:
     return done.stdout + done.stderr
 
 
-def annotate(serve, screen, folder: Path) -> dict[str, int]:
-    """Mark the end of the queue's first two demonstrations by keys, as good and as bad; the verdicts that are kept."""
+def annotate(serve, screen, folder: Path) -> list[int]:
+    """Mark the end of the queue's first two demonstrations by keys, the one as good and the other as bad; the rewards
+    that are kept, in the order of the keys."""
     page = screen(serve("annotate", "demos", folder=folder).url).ready()
     for verdict, go in (("p", "n"), ("f", "n")):
         page.press("End", "w").wait(segments=1, version=1).press(verdict).wait(version=2).press(go)
         page.wait(segments=0, version=0)
     assert not page.errors
     rows = read_segments(folder / "demos" / "labels").to_pylist()
-    return {row["episode_id"]: row["reward"] for row in rows if row["source"] == "human"}
+    kept = sorted((row["created_at"], row["episode_id"], row["reward"]) for row in rows if row["source"] == "human")
+    assert len({episode_id for _, episode_id, _ in kept}) == 2
+    return [reward for _, _, reward in kept]
 
 
 def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, tmp_path):
     """It sees its joints alone, and does not know when the drawer is shut: each rollout is ended by a key once that is
-    less than half open, as a person would."""
+    shut but for a gap, or after 8 s, before an arm that presses on overloads a servo."""
     options = ["--task", "so100/T5", "--episodes", str(DEMONSTRATIONS), "--quality", "1", "--out", "demos"]
     command = jiti("record", "--robot", "so100", "--port", "virtual", "--leader", "virtual", *options)
     with at_terminal(command, tmp_path / "said.txt") as keyboard:
@@ -62,7 +67,7 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
     run(tmp_path, *jiti("autolabel", "demos", "--from", "signal"))
     proposed = read_segments(tmp_path / "demos" / "labels").to_pylist()
     assert len({row["episode_id"] for row in proposed if row["source"] == "signal"}) == DEMONSTRATIONS
-    assert sorted(annotate(serve, screen, tmp_path).values()) == [0, 1]
+    assert annotate(serve, screen, tmp_path) == [1, 0]
     (tmp_path / "features.toml").write_text(FEATURES)
     options = ["--unlabelled", "keep", "--features", "features.toml", "--fps", "30"]
     assert f"{DEMONSTRATIONS} episodes" in run(tmp_path, *jiti("curate", "demos", "--out", "dataset", *options))
@@ -76,7 +81,7 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
         config = tmp_path / "arm.toml"
         folder = str(arm.calibration_dir)
         robot_record.write_settings(config, RobotSettings(port=arm.port, id=arm.id, calibration_dir=folder, lost_s=1.0))
-        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "20", "--out", "rollouts"]
+        options = ["--policy", "run/checkpoints/last/pretrained_model", "--seconds", "8", "--out", "rollouts"]
         asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", str(ROLLOUTS), *options]
         with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
             keyboard.wait_for("[Enter] begin", seconds=120)
@@ -92,22 +97,21 @@ def test_a_policy_learns_from_demonstrations_to_close_the_drawer(serve, screen, 
 
 
 def closes(arm: VirtualArm, keyboard: robot_record.Keyboard, number: int) -> bool:
-    """Lay out the things of an episode, begin it, end it by a key once the drawer is half shut, and judge it.
+    """Lay out the things of an episode, begin it, end it by a key once the drawer is shut but for a gap, and judge it.
 
     Judged is what was seen at that key: on its way back to rest the arm may drag the drawer open again.
     """
     arm.reset(50 + number)
-    before = arm.state().drawers["top_drawer"]
-    assert before > 0.04, "metres that it stands open"
-
-    def half_shut() -> bool:
-        return arm.state().drawers["top_drawer"] < before / 2
-
+    assert arm.state().drawers["top_drawer"] > 2 * GAP_M
     said = len(keyboard.said())
     keyboard.press("\n", "Space stops the arm at once", 120)
-    keyboard.watch(lambda: half_shut() or "Did it succeed?" in keyboard.said()[said:], seconds=120)
-    closed = half_shut()
-    if "Did it succeed?" not in keyboard.said()[said:]:
+
+    def time_is_up() -> bool:
+        return "Did it succeed?" in keyboard.said()[said:]
+
+    keyboard.watch(lambda: arm.state().drawers["top_drawer"] < GAP_M or time_is_up(), seconds=120)
+    closed = not time_is_up()
+    if closed:
         keyboard.press("\n", "Did it succeed?", 120)
     keyboard.press("y" if closed else "n", "The drawer must be closed smoothly")
     keyboard.press("n", "[Enter] begin" if number + 1 < ROLLOUTS else "[Enter] tell")

@@ -12,6 +12,8 @@ DAMPING = 1.0
 STRENGTH_NM = 4.0
 """Our choice: 20 N at 20 cm from a joint."""
 SAMPLE_S = 0.02
+WAVES, WANDER_HZ = 3, (0.2, 0.8)
+"""Of which a joint's way astray is the mean. Our choice: as slow as the way itself, so that it can be followed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +48,16 @@ def smooth(places: Sequence[np.ndarray], lasts_s: float) -> Path:
     return Path(times, np.array([np.interp(progress, range(len(places)), joint) for joint in joints]).T)
 
 
-def wander(path: Path, size_rad: float, random: np.random.Generator) -> Path:
-    """The path with every joint astray by about `size_rad` on the way, and at neither end.
+def wander(path: Path, most_rad: np.ndarray, random: np.random.Generator) -> Path:
+    """The path, with each joint astray on the way by less than `most_rad` (6,), by half of it as a rule.
 
-    Each strays along three waves of 0.2 to 0.8 Hz, as slow as a hand that is not attended to (our choice).
+    It begins and ends where and when it did, and as slowly. Limits of joints are not looked at.
     """
-    waves = (3, path.angles_rad.shape[1])
-    hertz, phase = random.uniform(0.2, 0.8, waves), random.uniform(0, 2 * np.pi, waves)
-    turns = 2 * np.pi * hertz * path.times_s[:, None, None] + phase
-    amount = np.sin(np.pi * path.times_s / path.lasts_s)[:, None] ** 2
-    return Path(path.times_s, path.angles_rad + size_rad * amount * np.sin(turns).mean(axis=1))
+    waves = (WAVES, len(most_rad))
+    frequencies_hz, phases_rad = random.uniform(*WANDER_HZ, waves), random.uniform(0, 2 * np.pi, waves)
+    angles_rad = 2 * np.pi * frequencies_hz * path.times_s[:, None, None] + phases_rad
+    share = np.sin(np.pi * path.times_s / path.lasts_s)[:, None] ** 2
+    return Path(path.times_s, path.angles_rad + most_rad * share * np.sin(angles_rad).mean(axis=1))
 
 
 class Hand:
