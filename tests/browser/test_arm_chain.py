@@ -11,6 +11,7 @@ import pytest
 from jiti.annotate.labels import read_segments
 from jiti.policies import recipe_path
 from jiti.runtime.robot.settings import RobotSettings
+from jiti.runtime.robot.take import ENTER, TIME
 from jiti.runtime.robot.virtual import VirtualArm
 from tests.builders import robot_record
 from tests.builders.robot_record import at_terminal, jiti
@@ -83,18 +84,19 @@ def test_a_policy_learns_from_demonstrations_to_push_the_drawer(serve, screen, t
         asked = ["--robot-config", str(config), "--task", "so100/T5", "--judge", "--episodes", str(ROLLOUTS), *options]
         with at_terminal(jiti("rollout", *asked), tmp_path / "judged.txt") as keyboard:
             keyboard.wait_for("[Enter] begin", seconds=120)
-            closed = [closes(arm, keyboard, number) for number in range(ROLLOUTS)]
+            pushed = [pushes(arm, keyboard, number) for number in range(ROLLOUTS)]
             keyboard.press("\n", "Judged by a person, 95% intervals by Wilson")
             assert keyboard.program.wait(60) == 0
-    assert sum(closed) > ROLLOUTS / 2
+    assert sum(pushed) > ROLLOUTS / 2
     rows = pq.read_table(tmp_path / "rollouts" / "evaluation.parquet").to_pylist()
-    assert [(row["guidance"], row["success"]) for row in rows] == [("none", success) for success in closed]
+    assert [(row["guidance"], row["success"]) for row in rows] == [("none", success) for success in pushed]
+    assert [row["ended"] for row in rows] == [ENTER if success else TIME for success in pushed]
     assert [dict(row["itcs"]) for row in rows] == [{"so100/T5/shut-smoothly": False}] * ROLLOUTS
     labels = read_segments(tmp_path / "rollouts" / "judged" / "labels").to_pylist()
     assert [(label["source"], label["reward"]) for label in labels] == [("human", 0)] * ROLLOUTS
 
 
-def closes(arm: VirtualArm, keyboard: robot_record.Keyboard, number: int) -> bool:
+def pushes(arm: VirtualArm, keyboard: robot_record.Keyboard, number: int) -> bool:
     """Lay out the things of an episode, begin it, end it by a key once the drawer is half shut, and judge it.
 
     Judged is what was seen at that key: on its way back to rest the arm may drag the drawer open again.
@@ -105,13 +107,13 @@ def closes(arm: VirtualArm, keyboard: robot_record.Keyboard, number: int) -> boo
     said = len(keyboard.said())
     keyboard.press("\n", "Space stops the arm at once", 120)
 
-    def time_is_up() -> bool:
+    def asked() -> bool:
         return "Did it succeed?" in keyboard.said()[said:]
 
-    keyboard.watch(lambda: arm.state().drawers["top_drawer"] < before / 2 or time_is_up(), seconds=120)
-    closed = not time_is_up()
-    if closed:
+    keyboard.watch(lambda: arm.state().drawers["top_drawer"] < before / 2 or asked(), seconds=120)
+    pushed = not asked()
+    if pushed:
         keyboard.press("\n", "Did it succeed?", 120)
-    keyboard.press("y" if closed else "n", "The drawer must be closed smoothly")
+    keyboard.press("y" if pushed else "n", "The drawer must be closed smoothly")
     keyboard.press("n", "[Enter] begin" if number + 1 < ROLLOUTS else "[Enter] tell")
-    return closed
+    return pushed
