@@ -12,8 +12,10 @@ DAMPING = 1.0
 STRENGTH_NM = 4.0
 """Our choice: 20 N at 20 cm from a joint."""
 SAMPLE_S = 0.02
-WAVES, WANDER_HZ = 3, (0.2, 0.8)
-"""Of which a joint's way astray is the mean. Our choice: as slow as the way itself, so that it can be followed."""
+WAVES = 3
+"""Whose mean a joint's way astray is. Our choice: no two are alike."""
+WANDER_HZ = (0.2, 0.8)
+"""Of a wave. Our choice: as slow as the way itself, so that it can be followed."""
 
 
 @dataclass(frozen=True, slots=True)
