@@ -1,6 +1,6 @@
 """How often scripted demonstrations succeed and are elegant, and what one costs: a table over tasks, packs, qualities.
 
-    uv run python benchmarks/demonstrations.py --episodes 50 --assets primitive --assets ../shared/libero-assets
+    uv run python benchmarks/demonstrations.py --episodes 50 --assets primitive --assets DIR
 
 Every cell has the same seeds, which no expert was tuned on; which of them are meant to be elegant is spread evenly over
 seeds. Time is wall time of one episode while all cores are busy, reset and predicates included; beside it the same as a
