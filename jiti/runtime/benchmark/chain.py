@@ -56,7 +56,8 @@ class Chain:
 
         def decided(stage: Stage) -> str:
             if stage.key not in seen:
-                seen[stage.key] = reviewed(self.work.folder(stage))
+                names = recording_names(self.plan, stage.name)
+                seen[stage.key] = reviewed(self.work.folder(stage), names)
             return seen[stage.key]
 
         return Stages(self.plan, self.catalogue, pack_fingerprint(self.pack), decided, self.work.flat)

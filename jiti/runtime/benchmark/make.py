@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import pyarrow as pa
 from jiti.annotate.autolabel import autolabel
 from jiti.annotate.folder import annotator_dirs
 from jiti.annotate.labels import read_labels
-from jiti.annotate.names import MACHINES
+from jiti.annotate.names import MACHINES, file_stem
 from jiti.annotate.proposals import accept, pending
 from jiti.annotate.proposer import Proposer
 from jiti.annotate.segment_file import Recording, to_segments
@@ -143,12 +143,13 @@ def make_dataset(work: Work, stage: Stage, plan: BenchmarkPlan, progress: Progre
     }
 
 
-def reviewed(labels_dir: Path) -> str:
-    """Hex digest of what people decided in a folder of labels; empty where no one has."""
-    people = [(name, folder) for name, folder in annotator_dirs(labels_dir) if name not in MACHINES]
+def reviewed(labels_dir: Path, episodes: Iterable[str]) -> str:
+    """Hex digest of what people decided on some episodes in a folder of labels; empty where no one has."""
+    files = [f"{file_stem(episode_id)}.parquet" for episode_id in episodes]
+    people = sorted((name, folder) for name, folder in annotator_dirs(labels_dir) if name not in MACHINES)
+    decided = [(name, path) for name, folder in people for file in files if (path := folder / file).is_file()]
     digest = hashlib.sha256()
-    for name, folder in sorted(people):
-        for path in sorted(folder.glob("*.parquet")):
-            digest.update(f"{name}\0{path.name}\0".encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16] if people else ""
+    for name, path in decided:
+        digest.update(f"{name}\0{path.name}\0".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16] if decided else ""

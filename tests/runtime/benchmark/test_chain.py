@@ -154,6 +154,9 @@ def test_what_people_decide_makes_another_dataset(pretended, tmp_path):
     chain_of(PLAN, tmp_path).run()
     done = pretended.take()
     assert done == [one for one in ALL if one.split(" ")[0] not in ("record", "autolabel")]
+    (own / "episode.parquet").write_bytes(b"a label of a recording that is not learned from")
+    chain_of(PLAN, tmp_path).run()
+    assert pretended.take() == []
 
 
 def test_parts_can_be_done_alone_and_what_they_need_is_said(pretended, tmp_path):
