@@ -258,6 +258,7 @@ def _about(data: ElegantData, cache: FeatureCache, settings: Settings) -> dict[s
             "gamma": data.gamma,
             "fps": data.fps,
             "train": data.recordings_of("train"),
+            "tasks": sorted({str(task) for task in data.task[data.of_split("train")]}),
         },
         "jiti": jiti.__version__,
         "git": git_revision(),

@@ -166,6 +166,7 @@ def test_what_is_kept_values_chunks_in_the_recordings_units(toy):
     assert values.shape == (2, 1, 2)
     torch.testing.assert_close(values[:, :, 0], values[:, :, 1])
     assert critic.config["dataset"]["fingerprint"] == data.fingerprint
+    assert critic.config["dataset"]["tasks"] == sorted(set(data.task[data.of_split("train")]))
     assert critic.config["extractor"]["name"] == "state"
     assert not list((toy.parent / "run").rglob("*.pt")) + list((toy.parent / "run").rglob("*.pkl"))
     with pytest.raises(SourceError, match=r"values chunks of \(4, 3\).*it was given \(5, 3\)"):

@@ -11,7 +11,7 @@ from jiti.progress import Progress
 from jiti.runtime.guidance import CANDIDATES, WINDOW, Guidance, Pick
 from jiti.runtime.rollout.agent import OpenAgent, open_agent
 from jiti.runtime.rollout.branch import branch
-from jiti.runtime.rollout.find import newest_critic, newest_policy, newest_task
+from jiti.runtime.rollout.find import learned_tasks, newest_critic, newest_policy, newest_task
 from jiti.runtime.rollout.live import watch_live
 from jiti.runtime.rollout.plan import ROLLOUT_SEED, RolloutPlan, parse_guidance
 from jiti.runtime.rollout.plan_file import check_folder, policy_folder
@@ -88,6 +88,9 @@ class Request:
         }
         if self.calibrate_tau is not None and (given := [flag for flag, passed in without.items() if passed]):
             raise UsageError(f"--calibrate-tau finds tau on unguided episodes: leave {' and '.join(given)} out.")
+        unused = [flag for flag in ("--tau", "--tau-scale") if without[flag]]
+        if unused and self.guidance and all(parse_guidance(text)[0] != "jiti" for text in self.guidance):
+            raise UsageError(f"no --guidance jiti is asked for: leave {' and '.join(unused)} out.")
         if self.branch and self.guidance:
             raise UsageError("--branch is JITI with several picks: leave --guidance out.")
         if self.branch and self.pick != "best":
@@ -273,6 +276,8 @@ def _plan(request: Request, catalogue: Catalogue, say: Say, here: Path) -> Rollo
             )
         critic = str(found)
         say(f"critic {_shown(found, here)}, the newest under {_shown(here)}")
+    if critic is not None and (learned := learned_tasks(critic)) and task.task_id not in learned:
+        say(f"note: the critic learned from {', '.join(learned)}, and not from {task.task_id}")
     seed = request.seed
     if seed is None:
         seed = ROLLOUT_SEED if request.calibrate_tau is None else CALIBRATION_SEED

@@ -1,4 +1,5 @@
-"""What `jiti rollout` takes where it is not told: the newest policy, critic and recorded task under a folder."""
+"""What `jiti rollout` takes where it is not told: the newest policy, critic and recorded task under a folder. And what
+a critic learned from."""
 
 import json
 import os
@@ -28,6 +29,13 @@ def newest_policy(root: Path) -> Path | None:
 def newest_critic(root: Path) -> Path | None:
     """The folder of a critic whose weights were written last; None where there is none."""
     return _newest(root, _is_critic)
+
+
+def learned_tasks(critic: str | Path) -> list[str]:
+    """Ids of the tasks that a critic learned from; empty where it does not say, or is not in a folder here."""
+    about = _config(Path(critic)).get("dataset")
+    tasks = about.get("tasks") if isinstance(about, dict) else None
+    return [str(task) for task in tasks] if isinstance(tasks, list) else []
 
 
 def newest_task(root: Path, catalogue: Catalogue) -> tuple[Task, Path] | None:

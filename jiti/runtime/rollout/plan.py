@@ -27,6 +27,8 @@ def parse_guidance(text: str, pick: Pick = "best") -> tuple[Method, Pick]:
     for value, known, flag in ((method, get_args(Method), "--guidance"), (chosen, get_args(Pick), "--pick")):
         if value not in known:
             raise UsageError(f"{flag} {value}: there are {', '.join(known)}, and both as in --guidance jiti:random.")
+    if method == "none" and chosen != "best":
+        raise UsageError(f"--guidance {text}: without guidance there is nothing to pick from. Pass --guidance none.")
     found: Any = method
     return found, chosen
 

@@ -73,6 +73,18 @@ def test_the_newest_policy_critic_and_recorded_task_are_found(here):
     )
 
 
+@pytest.mark.parametrize("task", ["elegant/T0", "elegant/T2"])
+def test_a_critic_that_did_not_learn_from_the_task_is_told(here, tmp_path, task):
+    config = here / "critic-2/config.json"
+    config.write_text(json.dumps(json.loads(config.read_bytes()) | {"dataset": {"tasks": ["elegant/T2"]}}))
+    said: list[str] = []
+    asked = replace(SHORT, task=task, guidance=("jiti",), cameras=("side",), out=tmp_path / "out")
+    with pytest.raises(UsageError, match="no camera"):
+        run_request(asked, CATALOGUE, lambda *_: None, said.append, here=here, make_agent=wandering)
+    told = "note: the critic learned from elegant/T2, and not from elegant/T0"
+    assert [line for line in said if line.startswith("note")] == [told] * (task == "elegant/T0")
+
+
 @pytest.mark.slow
 @pytest.mark.sim
 def test_without_options_it_says_what_it_takes_calibrates_and_compares(here, tmp_path):
@@ -143,6 +155,8 @@ def test_a_policy_whose_configuration_is_damaged_is_named(here, content):
         ({"branch": ("best",), "guidance": ("jiti",)}, "leave --guidance out"),
         ({"branch": ("best",), "live": True}, "--branch and --live are two things"),
         ({"tau_scale": 0.0}, "--tau-scale 0 must be above 0"),
+        ({"guidance": ("none", "full"), "tau_scale": 2.0}, "no --guidance jiti is asked for: leave --tau"),
+        ({"guidance": ("none:worst", "jiti")}, "nothing to pick from. Pass --guidance none"),
         ({"live": True, "workers": 2}, "leave --workers out"),
         ({"guidance": ("jitter",)}, "--guidance jitter: there are none, jiti, full"),
         ({"branch": ("best", "worst"), "pick": "random"}, "leave --pick out, or add random to --branch"),
