@@ -182,7 +182,7 @@ def load_tensors(path: Path) -> dict[str, Tensor]:
 
 def _folder(source: str | Path) -> Path:
     folder = Path(source)
-    if folder.exists() or str(source).count("/") != 1 or str(source).startswith((".", "/")):
+    if folder.exists() or folder.parent.is_dir() or str(source).count("/") != 1:
         return folder
     from huggingface_hub import snapshot_download
 

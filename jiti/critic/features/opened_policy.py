@@ -91,7 +91,8 @@ def checkpoint_folder(argument: str) -> Path:
             if (folder / "config.json").is_file():
                 return folder
         raise UsageError(f"{path} has neither config.json nor {_LAST}. Pass a checkpoint of lerobot-train.")
-    if path.is_absolute() or len(path.parts) != 2:
+    # In a folder that is here it is a path with a mistake in it, which is not to be asked for on the Hub.
+    if path.is_absolute() or len(path.parts) != 2 or path.parent.is_dir():
         raise UsageError(f"{argument}: there is no such folder, and a Hub id has the form USER/NAME. Check the path.")
     try:
         return Path(snapshot_download(argument, allow_patterns=list(_WANTED)))

@@ -367,7 +367,7 @@ def test_an_error_in_one_process_ends_all_and_is_told_as_it_is(plan, tmp_path):
     assert len(pq.read_table(tmp_path / "out/rollouts.parquet")) == 0
 
 
-def test_what_cannot_be_played_is_said(plan, policy, tmp_path):
+def test_what_cannot_be_played_is_said(plan, policy, tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="needs a critic: pass --critic"):
         replace(plan, critic=None)
     with pytest.raises(UsageError, match="has no ITC"):
@@ -385,3 +385,7 @@ def test_what_cannot_be_played_is_said(plan, policy, tmp_path):
         run_rollouts(replace(plan, critic=str(tmp_path / "empty")), tmp_path / "out", episodes=1)
     with pytest.raises(UsageError, match=r"neither config\.json nor"):
         run_rollouts(replace(plan, policy=str(tmp_path / "empty")), tmp_path / "out", episodes=1)
+    monkeypatch.chdir(tmp_path)  # a path with a mistake is not asked for on the Hub
+    for wrong in ({"policy": "empty/polcy"}, {"critic": "empty/crtic"}):
+        with pytest.raises(UsageError, match="there is no such folder"):
+            run_rollouts(replace(plan, **wrong), tmp_path / "out", episodes=1)
