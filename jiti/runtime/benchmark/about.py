@@ -115,7 +115,7 @@ def made_rows(chain: Chain, results: Results) -> list[tuple[str, str]]:
         (
             "evaluation",
             f"seeds {_seeds(plan.seed, plan.episodes)} of each task, N {plan.rollouts.candidates}, "
-            f"k {plan.rollouts.window}",
+            f"k {plan.rollouts.window}, at most {plan.rollouts.most_steps} steps",
         ),
         ("tuning", f"seeds {_seeds(plan.rollouts.tuning_seed, plan.rollouts.tuning_episodes)} of each task"),
         ("machine", f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"),

@@ -1,6 +1,7 @@
 """A report as one HTML page that needs nothing else, and as Markdown with its charts as files beside it."""
 
 import json
+import re
 from html import escape
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def write_report(folder: Path, report: Report) -> Path:
 
 def to_html(report: Report) -> str:
     """The page."""
-    lead = "".join(f"<p>{escape(text)}</p>" for text in report.lead)
+    lead = "".join(map(_paragraph, report.lead))
     sections = "\n".join(f"<section><h2>{escape(s.title)}</h2>\n{_html(s)}</section>" for s in report.sections)
     style = f"{STYLE}{charts.STYLE}"
     return document(report.title, f"<h1>{escape(report.title)}</h1>\n{lead}<p>{KEY}</p>\n{sections}", style=style)
@@ -52,8 +53,12 @@ def _html(section: Section) -> str:
         elif isinstance(part, Chart):
             parts.append(f"<figure>{part.svg}</figure>")
         else:
-            parts.append(f"<p>{escape(part)}</p>")
+            parts.append(_paragraph(part))
     return "\n".join(parts)
+
+
+def _paragraph(text: str) -> str:
+    return "<p>" + re.sub("`([^`]+)`", r"<code>\1</code>", escape(text)) + "</p>"
 
 
 def to_markdown(report: Report) -> str:

@@ -27,11 +27,15 @@ def paper_average(row: str, tasks: Sequence[str]) -> float | None:
     """The average ESR of a row over some tasks: as it is printed where these are all of its tasks; else
     the mean of their figures. None where there is no figure for one of them, or no such row."""
     figures = FIGURES.get(row, {})
-    own = {key for key in figures if "/" in key} or set(_AVERAGED.get(row, ()))
-    if own == set(tasks):
+    if is_over(row, tasks):
         return figures.get(AVERAGE)
     found = [figures[task] for task in tasks if task in figures]
     return sum(found) / len(found) if found and len(found) == len(tasks) else None
+
+
+def is_over(row: str, tasks: Sequence[str]) -> bool:
+    """Whether a row's averages, those of interventions and times too, are over these tasks, and no others."""
+    return ({key for key in FIGURES.get(row, {}) if "/" in key} or set(_AVERAGED.get(row, ()))) == set(tasks)
 
 
 def _table8(*esr: float, average: float) -> dict[str, float]:

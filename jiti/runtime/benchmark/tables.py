@@ -7,7 +7,7 @@ from typing import Any
 from jiti.runtime.benchmark.cells import Estimate, Results, effort, rate
 from jiti.runtime.benchmark.charts import Bar, Point, bar_chart, sweep_chart
 from jiti.runtime.benchmark.figures import alike, compared, numbers
-from jiti.runtime.benchmark.paper import DECISION_MS, FIGURES, INTERVENTIONS, RATE, paper_average
+from jiti.runtime.benchmark.paper import DECISION_MS, FIGURES, INTERVENTIONS, RATE, is_over, paper_average
 from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
 
 MISSING = "missing"
@@ -154,11 +154,11 @@ def _averages(plan: BenchmarkPlan, results: Results) -> Iterator[str | TextTable
                 _percent(paper),
                 shown_rate(rate(own, "success") if own else None),
                 (f"{cost.interventions:.2f}" if guided else NOTHING) if cost else MISSING,
-                _paper_text(column, INTERVENTIONS),
+                _paper_cost(column, INTERVENTIONS, plan.tasks),
                 (f"{100 * cost.share:.1f}%" if guided else NOTHING) if cost else MISSING,
-                _paper_text(column, RATE, "%"),
+                _paper_cost(column, RATE, plan.tasks, "%"),
                 f"{cost.decision_ms:.2f}" if cost else MISSING,
-                _paper_text(column, DECISION_MS),
+                _paper_cost(column, DECISION_MS, plan.tasks),
                 str(len(own)) if own else MISSING,
                 ", ".join(map(str, column.seeds)),
             )
@@ -253,6 +253,11 @@ def _paper(column: Column, key: str) -> float | None:
 
 def _paper_text(column: Column, key: str, unit: str = "") -> str:
     return _percent(FIGURES.get(column.paper, {}).get(key), unit)
+
+
+def _paper_cost(column: Column, key: str, tasks: Sequence[str], unit: str = "") -> str:
+    """Nothing beside other tasks than the paper's, for these are averages."""
+    return _paper_text(column, key, unit) if is_over(column.paper, tasks) else NOTHING
 
 
 def _percent(value: float | None, unit: str = "") -> str:
