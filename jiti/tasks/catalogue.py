@@ -82,7 +82,7 @@ class Catalogue:
         hint = f"did you mean {' or '.join(close)}? " if close and not found else ""
         what = f"{name!r} is the end of several tasks' ids" if found else f"no task of simulation is {name!r}"
         if any(name in (task.task_id, task.task_id.rpartition("/")[2]) for task in self.tasks if not task.bddl):
-            hint += "It is a task of an arm: pass --robot so100. "
+            hint = "it is a task of an arm: `jiti rollout --robot so100` plays it. "
         raise CatalogueError(f"{what}; {hint}{'There' if hint else 'there'} are: {', '.join(ids)}.")
 
     def for_episode(self, episode: "Episode") -> Task:
