@@ -387,5 +387,5 @@ def test_what_cannot_be_played_is_said(plan, policy, tmp_path, monkeypatch):
         run_rollouts(replace(plan, policy=str(tmp_path / "empty")), tmp_path / "out", episodes=1)
     monkeypatch.chdir(tmp_path)  # a path with a mistake is not asked for on the Hub
     for wrong in ({"policy": "empty/polcy"}, {"critic": "empty/crtic"}):
-        with pytest.raises(UsageError, match="there is no such folder"):
+        with pytest.raises((UsageError, SourceError), match="there is no such folder"):
             run_rollouts(replace(plan, **wrong), tmp_path / "out", episodes=1)
