@@ -182,7 +182,8 @@ def load_tensors(path: Path) -> dict[str, Tensor]:
 
 def _folder(source: str | Path) -> Path:
     folder = Path(source)
-    if folder.exists() or folder.parent.is_dir() or str(source).count("/") != 1:
+    local = folder.exists() or folder.parent.is_dir() or str(source).startswith((".", "/"))
+    if local or str(source).count("/") != 1:
         return folder
     from huggingface_hub import snapshot_download
 
