@@ -66,10 +66,7 @@ class Demonstrated:
         success = sum(one.success for one in self.demonstrations)
         blind = "" if self.pictures else "; without pictures: no GL library was found"
         opens = (
-            (
-                f"jiti annotate {SHOWN}",
-                f"the first demonstration once more, to try it on (ESA){blind}",
-            ),
+            (f"jiti annotate {SHOWN}", f"the first demonstration once more, to try it on (ESA){blind}"),
             ("jiti annotate", "all demonstrations; from what you change there the same `jiti demo` learns anew"),
             ("jiti validate-rewards", "rewards and returns of all of them (RVV)"),
             ("jiti autolabel --vlm", "a vision-language model proposes; needs a server, --vlm-url or $JITI_VLM_URL"),
