@@ -19,10 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from jiti.errors import JitiError
-from jiti.runtime.benchmark.cells import One, Results, paired
+from jiti.runtime.benchmark.cells import Results, paired
 from jiti.runtime.benchmark.chain import Chain
 from jiti.runtime.benchmark.kept import Work
-from jiti.runtime.benchmark.plan import BenchmarkPlan, Column
+from jiti.runtime.benchmark.plan import BenchmarkPlan
 from jiti.runtime.benchmark.plan_file import read_plan
 from jiti.tasks.catalogue import load_catalogue
 
@@ -47,12 +47,9 @@ def turned(plan: BenchmarkPlan, results: Results) -> Iterator[Turned]:
         for column in plan.columns:
             if column.method == "none" or column.data != base.data:
                 continue
-            if found := paired(_played(results, task, base), _played(results, task, column)):
+            before, after = results.of(base, (task,)), results.of(column, (task,))
+            if before and after and (found := paired(before, after)):
                 yield Turned(task, column.name, found.pairs, found.only_second, found.only_first)
-
-
-def _played(results: Results, task: str, column: Column) -> list[One]:
-    return [one for seed in column.seeds for one in results.cells.get((column.name, task, seed), ())]
 
 
 def table_of(found: list[Turned]) -> Table:
