@@ -386,6 +386,6 @@ def test_what_cannot_be_played_is_said(plan, policy, tmp_path, monkeypatch):
     with pytest.raises(UsageError, match=r"neither config\.json nor"):
         run_rollouts(replace(plan, policy=str(tmp_path / "empty")), tmp_path / "out", episodes=1)
     monkeypatch.chdir(tmp_path)  # a path with a mistake is not asked for on the Hub
-    for wrong in ({"policy": "empty/polcy"}, {"critic": "empty/crtic"}):
-        with pytest.raises((UsageError, SourceError), match="there is no such folder"):
+    for wrong, error in (({"policy": "empty/polcy"}, UsageError), ({"critic": "empty/crtic"}, SourceError)):
+        with pytest.raises(error, match="there is no such folder"):
             run_rollouts(replace(plan, **wrong), tmp_path / "out", episodes=1)
